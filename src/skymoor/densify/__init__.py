@@ -1,0 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth for every pixel of every photo."""
+
+from skymoor.densify._sgm import SgmDepth
+from skymoor.densify.protocol import DepthEstimator
+
+__all__ = ["DepthEstimator", "SgmDepth"]

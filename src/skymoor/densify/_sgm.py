@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The offline default: semi-global matching (Hirschmueller 2008, OpenCV) on rectified neighbours, fused per photo.
+
+Rectification turns both cameras about their centres until rows are epipolar lines (Fusiello, Trucco, Verri 2000);
+lens distortion is removed in the same resampling.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+import os
+
+import cv2
+import numpy as np
+
+from skymoor.densify.fuse import fuse_depths
+from skymoor.densify.neighbours import depth_range, stereo_partners
+from skymoor.densify.protocol import DepthEstimator
+from skymoor.geometry.camera import Intrinsics
+from skymoor.types import Array, Array32, Camera, Component, DepthMap, Image, Photos, Progress, no_progress
+
+
+MAX_DISPARITIES = 320
+MAX_STRETCH = 3.0
+
+
+@dataclass(frozen=True)
+class SgmDepth:
+    """Semi-global matching at `max_px` on the long side, with up to `partners` neighbours per photo.
+
+    Attributes:
+        max_px: long side of the depth maps.
+        partners: stereo partners per photo.
+        best_angle_deg, max_angle_deg: wanted and largest angle between viewing rays.
+        min_views: partners that must agree for a depth to count.
+        noise_grey: standard deviation of the image noise, in grey levels; sets what texture is worth.
+    """
+
+    max_px: int = 800
+    partners: int = 4
+    best_angle_deg: float = 14.0
+    max_angle_deg: float = 35.0
+    min_views: int = 2
+    noise_grey: float = 3.0
+
+    def __call__(self, component: Component, photos: Photos, *, progress: Progress = no_progress) -> list[DepthMap]:
+        """Depth maps of all cameras that have partners; see `DepthEstimator`."""
+        wanted = stereo_partners(
+            component, count=self.partners, best_angle_deg=self.best_angle_deg, max_angle_deg=self.max_angle_deg
+        )
+
+        @lru_cache(maxsize=64)
+        def view(index: int) -> tuple[Camera, Image]:
+            return _reduced(component.cameras[index], photos.read(component.cameras[index].image), self.max_px)
+
+        def one(index: int) -> DepthMap | None:
+            return self._depth_map(component, index, wanted[index], view) if wanted[index] else None
+
+        maps: list[DepthMap] = []
+        # OpenCV's own threads do not scale on one pair; whole photos side by side do.
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            for done, depth_map in enumerate(pool.map(one, range(len(component.cameras)))):
+                if depth_map is not None and np.isfinite(depth_map.depth).any():
+                    maps.append(depth_map)
+                progress(done + 1, len(component.cameras))
+        return maps
+
+    def _depth_map(self, component: Component, index: int, partners: list[int], view: object) -> DepthMap:
+        camera, image = view(index)  # type: ignore[operator]
+        near, far = depth_range(component, index)
+        pinhole = camera.intrinsics.undistorted()
+        depths, sigmas = [], []
+        for partner in partners:
+            other, other_image = view(partner)  # type: ignore[operator]
+            depth, sigma = pair_depth(camera, image, other, other_image, near, far, self.noise_grey)
+            depths.append(depth)
+            sigmas.append(sigma)
+        depth, sigma, n_views = fuse_depths(np.stack(depths), np.stack(sigmas), min_views=self.min_views)
+        rgb = cv2.undistort(
+            image, camera.intrinsics.matrix_cv(), np.array(camera.intrinsics.distortion), None, pinhole.matrix_cv()
+        )
+        return DepthMap(Camera(camera.image, pinhole, camera.cam_from_world), depth, sigma, n_views, rgb)
+
+
+_: type[DepthEstimator] = SgmDepth
+
+
+def pair_depth(
+    camera: Camera, image: Image, other: Camera, other_image: Image, near: float, far: float, noise_grey: float
+) -> tuple[Array32, Array32]:
+    """z-depth and its standard deviation for each pixel of the undistorted `camera`, from one partner.
+
+    NaN where the match is not mutual or the pixel is outside. `near`, `far` bound the z-depth in `camera`.
+    """
+    rect = _rectify(camera, other, near, far)
+    if rect is None:
+        nothing = np.full((camera.intrinsics.height, camera.intrinsics.width), np.nan, np.float32)
+        return nothing, nothing
+    left, inside = _warp(image, camera, rect, rect.cx)
+    right, _ = _warp(other_image, other, rect, rect.cx + rect.d_min)
+    disparity = _match(left, right, rect.n_disparities)
+    disparity[~inside] = np.nan
+    sigma_d = _disparity_sigma(left, noise_grey)
+    return _to_camera(disparity, sigma_d, camera, rect)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rectified:
+    rotation: Array  # rect_from_world
+    focal: float
+    cx: float
+    cy: float
+    size: tuple[int, int]
+    baseline: float
+    d_min: float
+    n_disparities: int
+
+
+def _rectify(camera: Camera, other: Camera, near: float, far: float) -> _Rectified | None:
+    """A common image plane for two cameras; None where the search would be absurd."""
+    step = other.centre - camera.centre
+    baseline = float(np.linalg.norm(step))
+    x = step / baseline
+    forward = camera.cam_from_world.rotation[2] + other.cam_from_world.rotation[2]
+    z = forward - (forward @ x) * x
+    if np.linalg.norm(z) < 0.5:  # one camera flies straight ahead of the other
+        return None
+    z /= np.linalg.norm(z)
+    rotation = np.stack([x, np.cross(z, x), z])
+    i = camera.intrinsics
+    border = np.array([[0, 0], [i.width, 0], [0, i.height], [i.width, i.height]], float)
+    border = np.vstack([border, (border + np.roll(border, 1, axis=0)) / 2])
+    rays = i.rays(border) @ camera.cam_from_world.rotation @ rotation.T
+    if rays[:, 2].min() < 0.2:
+        return None
+    # The rectified z of the depth range's ends, anywhere in the picture.
+    ends = np.concatenate([rays[:, 2] * near, rays[:, 2] * far])
+    span = baseline / ends.min() - baseline / ends.max()  # of the disparity, per pixel of focal length
+    flat = rays[:, :2] / rays[:, 2:]
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    # A long range of depths, or a picture stretched by its slant, is searched at a coarser scale, not given up.
+    area = float(np.prod(high - low))
+    focal = min(i.fx, MAX_DISPARITIES / span, np.sqrt(MAX_STRETCH * i.width * i.height / area))
+    count = int(np.ceil((focal * span + 2) / 16) * 16)
+    size = (int(focal * (high[0] - low[0])) + 1, int(focal * (high[1] - low[1])) + 1)
+    d_min = np.floor(focal * baseline / ends.max())
+    return _Rectified(rotation, focal, -focal * low[0], -focal * low[1], size, baseline, d_min, count)
+
+
+def _warp(image: Image, camera: Camera, rect: _Rectified, cx: float) -> tuple[Image, Array]:
+    """Resample an image into the rectified frame; also where the result lies inside the photo."""
+    matrix = np.array([[rect.focal, 0, cx - 0.5], [0, rect.focal, rect.cy - 0.5], [0, 0, 1]])
+    turn = rect.rotation @ camera.cam_from_world.rotation.T
+    map_x, map_y = cv2.initUndistortRectifyMap(
+        camera.intrinsics.matrix_cv(), np.array(camera.intrinsics.distortion), turn, matrix, rect.size, cv2.CV_32FC1
+    )
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    inside = (map_x > 0) & (map_y > 0) & (map_x < image.shape[1] - 1) & (map_y < image.shape[0] - 1)
+    return cv2.remap(grey, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), inside
+
+
+def _match(left: Image, right: Image, count: int, block: int = 5) -> Array32:
+    """Disparity beyond `d_min`, NaN where left and right disagree."""
+    sgm = cv2.StereoSGBM_create(
+        minDisparity=0,
+        numDisparities=count,
+        blockSize=block,
+        P1=8 * block * block,
+        P2=32 * block * block,
+        disp12MaxDiff=1,
+        preFilterCap=31,
+        uniquenessRatio=8,
+        speckleWindowSize=120,
+        speckleRange=2,
+        mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    )
+    # The left border of `count` columns cannot be matched otherwise.
+    padded = [cv2.copyMakeBorder(x, 0, 0, count, 0, cv2.BORDER_REPLICATE) for x in (left, right)]
+    raw = sgm.compute(padded[0], padded[1])[:, count:]
+    return np.where(raw >= 0, raw / np.float32(16), np.nan).astype(np.float32)
+
+
+def _disparity_sigma(left: Image, noise_grey: float, window: int = 7) -> Array32:
+    """Standard deviation of a disparity, in pixels, by the texture along the row that can hold it (Foerstner 1982).
+
+    A smooth roof has none, and semi-global matching fills it with whatever its border says: the number says so.
+    """
+    gradient = cv2.Scharr(left, cv2.CV_32F, 1, 0, scale=1 / 32)
+    energy = cv2.boxFilter(gradient * gradient, cv2.CV_32F, (window, window), normalize=False)
+    # The noise itself makes gradients: what it explains is no texture. Scharr/32 passes about 0.19 of white noise.
+    energy = np.maximum(energy - window * window * (0.19 * noise_grey) ** 2, 1e-3)
+    return np.asarray(np.sqrt(0.2**2 + noise_grey**2 / energy), dtype=np.float32)
+
+
+def _to_camera(disparity: Array32, sigma_d: Array32, camera: Camera, rect: _Rectified) -> tuple[Array32, Array32]:
+    """Rectified disparities to z-depth on the camera's own undistorted pixels."""
+    turn = rect.rotation @ camera.cam_from_world.rotation.T
+    rays = pixel_rays(camera.intrinsics.undistorted()) @ turn.T
+    map_x = (rect.focal * rays[..., 0] / rays[..., 2] + rect.cx - 0.5).astype(np.float32)
+    map_y = (rect.focal * rays[..., 1] / rays[..., 2] + rect.cy - 0.5).astype(np.float32)
+    nan = float("nan")
+    d = cv2.remap(disparity, map_x, map_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=nan)
+    s = cv2.remap(sigma_d, map_x, map_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=nan)
+    z_rect = rect.focal * rect.baseline / (d + rect.d_min)
+    depth = (z_rect / rays[..., 2]).astype(np.float32)
+    return depth, (depth * s / (d + rect.d_min)).astype(np.float32)
+
+
+def pixel_rays(intrinsics: Intrinsics) -> Array:
+    """Rays (h, w, 3) with z = 1 through the pixel centres of a camera without distortion."""
+    u = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
+    v = (np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
+    return np.stack([*np.meshgrid(u, v), np.ones((intrinsics.height, intrinsics.width))], axis=-1)
+
+
+def _reduced(camera: Camera, image: Image, max_px: int) -> tuple[Camera, Image]:
+    i = camera.intrinsics
+    ratio = min(1.0, max_px / max(i.width, i.height))
+    size = (round(i.width * ratio), round(i.height * ratio))
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if ratio < 1 else image
+    return Camera(camera.image, i.resized(*size), camera.cam_from_world), small

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The accuracy table: absolute, relative, similarity-fitted and Mahalanobis errors of every component.
+
+The measures are those of Bredvik, Richardson and Crispell (2025), section on results: absolute error is the distance
+of a camera to its true position, relative error the same after the component's mean error vector is removed.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skymoor.errors import DegenerateGeometry, InputError, TooFewMatches
+from skymoor.geo.accuracy import mahalanobis
+from skymoor.geo.frame import EnuFrame
+from skymoor.geometry.similarity import umeyama
+
+Array = NDArray[np.float64]
+
+NAMED_IN_MESSAGE = 3
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One line of cameras.csv: WGS 84 degrees and ellipsoidal metres, all None where the camera is not placed.
+
+    `component` is None for an image that no reconstruction took; `ce90`, `le90` are the predicted accuracy in metres.
+    """
+
+    image: str
+    set: str
+    component: int | None
+    registered: bool
+    lat: float | None = None
+    lon: float | None = None
+    height: float | None = None
+    ce90: float | None = None
+    le90: float | None = None
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One line of truth.csv: WGS 84 degrees and ellipsoidal metres."""
+
+    image: str
+    lat: float
+    lon: float
+    height: float
+
+
+@dataclass(frozen=True)
+class EvaluationRow:
+    """One component against the truth. Metres, except the two Mahalanobis distances, which have no unit.
+
+    Every measure is None where the component is not placed; `rmse_procrustes_m` also where fewer than three cameras
+    or cameras on one line leave the fit open. `n_truth` counts the component's cameras that the truth knows.
+    """
+
+    set: str
+    component: int
+    status: str
+    n_cameras: int
+    n_truth: int
+    mean_absolute_m: float | None = None
+    median_absolute_m: float | None = None
+    mean_horizontal_m: float | None = None
+    mean_vertical_m: float | None = None
+    mean_relative_m: float | None = None
+    median_relative_m: float | None = None
+    rmse_procrustes_m: float | None = None
+    mahalanobis_of_mean: float | None = None
+    mean_mahalanobis: float | None = None
+    standoff_m: float | None = None
+    predicted_ce90_m: float | None = None
+    predicted_le90_m: float | None = None
+
+
+def evaluate(
+    estimates: Sequence[Estimate],
+    truths: Sequence[Truth],
+    frame: EnuFrame,
+    covariance: Array,
+    scene_centres: Mapping[tuple[str, int], Array],
+) -> list[EvaluationRow]:
+    """One row for each set and component, in the order of their first camera.
+
+    `covariance` (3, 3) m^2 is what the errors are measured against, east-north-up of `frame`: the reference's, or the
+    predicted one. `scene_centres` gives, by (set, component), the point (3,) ENU that the standoff is measured to; a
+    component without one has no standoff. Images without a component are left out.
+
+    Raises `InputError` when an image is listed twice, or a placed camera has no truth.
+    """
+    _no_doubles([truth.image for truth in truths], "the truth")
+    _no_doubles([estimate.image for estimate in estimates], "the cameras")
+    lla = np.array([(truth.lat, truth.lon, truth.height) for truth in truths]).reshape(-1, 3)
+    enu = frame.enu_from_lla(lla[:, 0], lla[:, 1], lla[:, 2]) if truths else np.zeros((0, 3))
+    truth_enu = {truth.image: position for truth, position in zip(truths, enu, strict=True)}
+    groups: dict[tuple[str, int], list[Estimate]] = {}
+    for estimate in estimates:
+        if estimate.component is not None:
+            groups.setdefault((estimate.set, estimate.component), []).append(estimate)
+    return [_row(name, group, truth_enu, frame, covariance, scene_centres.get(name)) for name, group in groups.items()]
+
+
+def _row(
+    name: tuple[str, int],
+    group: Sequence[Estimate],
+    truth_enu: Mapping[str, Array],
+    frame: EnuFrame,
+    covariance: Array,
+    scene_centre: Array | None,
+) -> EvaluationRow:
+    placed = all(estimate.registered for estimate in group)
+    n_truth = sum(estimate.image in truth_enu for estimate in group)
+    if not placed:
+        return EvaluationRow(*name, "NOT_REGISTERED", len(group), n_truth)
+    missing = [estimate.image for estimate in group if estimate.image not in truth_enu]
+    if missing:
+        shown = ", ".join(missing[:NAMED_IN_MESSAGE]) + (", ..." if len(missing) > NAMED_IN_MESSAGE else "")
+        raise InputError(
+            f"the truth lacks {len(missing)} of {len(group)} images of {name[0]} component {name[1]}: {shown}; "
+            "name them relative to the site's folder"
+        )
+    found, truth = _positions(group, frame), np.array([truth_enu[estimate.image] for estimate in group])
+    errors = found - truth
+    absolute, relative = np.linalg.norm(errors, axis=1), np.linalg.norm(errors - errors.mean(axis=0), axis=1)
+    return EvaluationRow(
+        *name,
+        "REGISTERED",
+        len(group),
+        n_truth,
+        mean_absolute_m=float(absolute.mean()),
+        median_absolute_m=float(np.median(absolute)),
+        mean_horizontal_m=float(np.linalg.norm(errors[:, :2], axis=1).mean()),
+        mean_vertical_m=float(np.abs(errors[:, 2]).mean()),
+        mean_relative_m=float(relative.mean()),
+        median_relative_m=float(np.median(relative)),
+        rmse_procrustes_m=_rmse_procrustes(found, truth),
+        mahalanobis_of_mean=float(mahalanobis(errors.mean(axis=0)[None], covariance)[0]),
+        mean_mahalanobis=float(mahalanobis(errors, covariance).mean()),
+        standoff_m=None if scene_centre is None else float(np.linalg.norm(found - scene_centre, axis=1).mean()),
+        predicted_ce90_m=_mean([estimate.ce90 for estimate in group]),
+        predicted_le90_m=_mean([estimate.le90 for estimate in group]),
+    )
+
+
+def _positions(group: Sequence[Estimate], frame: EnuFrame) -> Array:
+    lla = np.array([(estimate.lat, estimate.lon, estimate.height) for estimate in group], dtype=np.float64)
+    for estimate, row in zip(group, lla, strict=True):
+        if not np.isfinite(row).all():
+            raise InputError(f"the camera {estimate.image} counts as placed but has no position")
+    return frame.enu_from_lla(lla[:, 0], lla[:, 1], lla[:, 2])
+
+
+def _rmse_procrustes(found: Array, truth: Array) -> float | None:
+    """What no similarity can mend: the shape error of the reconstruction itself."""
+    try:
+        truth_from_found = umeyama(found, truth)
+    except (DegenerateGeometry, TooFewMatches):
+        return None
+    residuals = truth_from_found.apply(found) - truth
+    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _no_doubles(images: Sequence[str], where: str) -> None:
+    doubles = [image for image, count in Counter(images).items() if count > 1]
+    if doubles:
+        raise InputError(f"{where} list the image {doubles[0]} more than once; keep one line")

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Vertical datums: heights above the WGS 84 ellipsoid from what a DSM holds. Nothing is guessed."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS, Transformer
+from pyproj.aoi import AreaOfInterest
+from pyproj.crs import CompoundCRS
+from pyproj.datadir import get_user_data_dir  # type: ignore[attr-defined]
+from pyproj.exceptions import CRSError, ProjError
+from pyproj.transformer import TransformerGroup
+
+from skymoor.errors import InputError
+
+Array = NDArray[np.float64]
+
+ELLIPSOID = "ellipsoid"
+_HOW_TO_STATE = (
+    'give reference.vertical_datum as "ellipsoid" or as the EPSG code of a vertical CRS, such as "EPSG:3855"'
+)
+
+
+Heights = Callable[[ArrayLike, ArrayLike, ArrayLike], Array]
+"""Ellipsoidal heights (n,) in metres at latitudes, longitudes (degrees) and heights of some datum, each (n,)."""
+
+
+def ellipsoidal_heights(lat: ArrayLike, lon: ArrayLike, height: ArrayLike, vertical_datum: str) -> Array:
+    """Heights (n,) in metres above the WGS 84 ellipsoid of heights (n,) in a vertical datum, at WGS 84 degrees (n,).
+
+    `vertical_datum` is "ellipsoid" or a vertical CRS such as "EPSG:3855"; `height` is in the unit of that CRS.
+    NaN heights stay NaN. Raises `InputError` when the datum is unknown, when PROJ has no way to it without a geoid
+    grid that is not installed (the message names the file), or when the grid does not cover a position.
+    """
+    return ellipsoid_from_datum(vertical_datum, lat, lon)(lat, lon, height)
+
+
+def ellipsoid_from_datum(vertical_datum: str, lat: ArrayLike, lon: ArrayLike) -> Heights:
+    """`ellipsoidal_heights` for a site: one choice among PROJ's ways, for the area of the positions (n,) in degrees."""
+    crs = _vertical_crs(vertical_datum)
+    if crs is None:
+        return lambda lat, lon, height: np.array(_broadcast(lat, lon, height)[2])
+    transformer = _transformer(crs, vertical_datum, np.asarray(lat, np.float64), np.asarray(lon, np.float64))
+
+    def heights(lat: ArrayLike, lon: ArrayLike, height: ArrayLike) -> Array:
+        lats, lons, own = _broadcast(lat, lon, height)
+        known = np.isfinite(own)
+        moved = np.asarray(transformer.transform(lons, lats, np.where(known, own, 0.0))[2], dtype=np.float64)
+        if not np.isfinite(moved).all():
+            raise InputError(
+                f"vertical datum {vertical_datum} ({crs.name}): its geoid grid does not cover latitude "
+                f"{lats.ravel()[0]:.4f}, longitude {lons.ravel()[0]:.4f}; convert the DSM to ellipsoidal heights"
+            )
+        return np.where(known, moved, np.nan)
+
+    return heights
+
+
+def vertical_datum_of(crs: Any) -> str | None:
+    """The vertical datum that the CRS of a DSM carries: "ellipsoid", an EPSG code, WKT without one, or None.
+
+    `crs` is whatever pyproj reads, or a CRS with `to_wkt`.
+    """
+    crs = CRS.from_user_input(crs)
+    if crs.is_compound:
+        vertical = next((part for part in crs.sub_crs_list if part.is_vertical), None)
+        return None if vertical is None else _name(vertical)
+    return ELLIPSOID if len(crs.axis_info) == 3 and not crs.is_geocentric else None
+
+
+def same_vertical_datum(a: str, b: str) -> bool:
+    """Whether two vertical datums, as `ellipsoidal_heights` takes them, are one."""
+    return _vertical_crs(a) == _vertical_crs(b)
+
+
+def horizontal_part(crs: Any) -> CRS:
+    """The two-dimensional CRS (pyproj) within a compound or 3D one."""
+    whole = CRS.from_user_input(crs)
+    part: CRS = whole.sub_crs_list[0] if whole.is_compound else whole
+    return part.to_2d() if len(part.axis_info) == 3 and not part.is_geocentric else part
+
+
+def _broadcast(*values: ArrayLike) -> tuple[Array, ...]:
+    return np.broadcast_arrays(*(np.atleast_1d(np.asarray(value, dtype=np.float64)) for value in values))
+
+
+def _name(vertical: CRS) -> str:
+    code = vertical.to_epsg()
+    return vertical.to_wkt() if code is None else f"EPSG:{code}"
+
+
+def _vertical_crs(vertical_datum: str) -> CRS | None:
+    """The vertical CRS, or None for heights above the ellipsoid."""
+    text = str(vertical_datum).strip()
+    if text.lower() == ELLIPSOID:
+        return None
+    try:
+        crs = CRS.from_user_input(text)
+    except CRSError:
+        raise InputError(f"vertical datum {text!r} is not known; {_HOW_TO_STATE}") from None
+    if crs.is_vertical and not crs.is_compound:
+        return crs
+    inner = vertical_datum_of(crs)
+    if inner is None:
+        raise InputError(f"{text!r} ({crs.name}) has no vertical datum; {_HOW_TO_STATE}")
+    return None if inner == ELLIPSOID else CRS.from_user_input(inner)
+
+
+def _transformer(vertical: CRS, vertical_datum: str, lat: Array, lon: Array) -> Transformer:
+    """PROJ's best installed way from the datum to the ellipsoid, or an `InputError` that names the missing grid."""
+    area = AreaOfInterest(float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max()))
+    with warnings.catch_warnings():
+        # pyproj warns that a better grid exists somewhere; which ones are missing is told below, as an error.
+        warnings.simplefilter("ignore")
+        try:
+            # Without ballpark operations: those pass heights through unchanged where no geoid is at hand.
+            group = TransformerGroup(
+                CompoundCRS("site", [CRS("EPSG:4326"), vertical]),
+                CRS("EPSG:4979"),
+                always_xy=True,
+                area_of_interest=area,  # type: ignore[arg-type]
+                allow_ballpark=False,
+            )
+        except ProjError as error:
+            raise InputError(f"vertical datum {vertical_datum} ({vertical.name}) cannot be used: {error}") from None
+    if group.transformers:
+        return group.transformers[0]
+    missing = [[grid for grid in operation.grids if not grid.available] for operation in group.unavailable_operations]
+    # The ways that one file opens come first, and of those the ones that PROJ offers for download.
+    missing.sort(key=lambda grids: (len(grids) > 1, not all(grid.url for grid in grids)))
+    files = list(dict.fromkeys(grids[0].short_name for grids in missing if grids))
+    if not files:
+        raise InputError(
+            f"vertical datum {vertical_datum} ({vertical.name}): PROJ knows no way from it to ellipsoidal heights "
+            "at the site; convert the DSM, or check the code"
+        )
+    others = f" (or one of {', '.join(files[1:5])})" if len(files) > 1 else ""
+    raise InputError(
+        f"vertical datum {vertical_datum} ({vertical.name}) needs the geoid grid {files[0]}{others}, which is not "
+        f"installed: run `pyproj sync --file {Path(files[0]).stem}`, or put the file into {get_user_data_dir()}"
+    )

@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Geometry in float64 that knows neither images nor maps."""
+
+from skymoor.geometry.adjust import gauge_centre, point_covariance, refine_similarity, tilt_deg
+from skymoor.geometry.camera import Intrinsics
+from skymoor.geometry.plane import Plane, fit_plane_ransac
+from skymoor.geometry.ransac import RansacResult, ransac_similarity
+from skymoor.geometry.similarity import Similarity, umeyama, umeyama_level
+
+__all__ = [
+    "Intrinsics",
+    "Plane",
+    "RansacResult",
+    "Similarity",
+    "fit_plane_ransac",
+    "gauge_centre",
+    "point_covariance",
+    "ransac_similarity",
+    "refine_similarity",
+    "tilt_deg",
+    "umeyama",
+    "umeyama_level",
+]

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What two pictures of one place share when sensor, season and sun do not: where edges run, and where heights step.
+
+Colour: the gradient of the log-image as its double and fourfold angle, so that contrast may reverse and crossing
+directions cancel (the family of CFOG, Ye et al. 2019, and HOPC, Ye et al. 2017). Heights: the slope itself, signed,
+for no sun can reverse a roof. Magnitudes are compressed against their neighbourhood: a strong shadow must not outvote
+a street.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from skymoor.types import Array32, Image, Mask, Raster
+
+
+@dataclass(frozen=True)
+class ChannelOptions:
+    """How channels are made.
+
+    Attributes:
+        smooth_px: Gaussian sigma before the gradient.
+        pool_px: Gaussian sigma over which directions are pooled: the tolerance of the comparison.
+        local_px: Gaussian sigma of the neighbourhood against which magnitudes are compressed.
+        slope: slope at which the height channels saturate.
+        height_weight: amplitude of the height channels against the colour channels.
+    """
+
+    smooth_px: float = 0.8
+    pool_px: float = 1.2
+    local_px: float = 12.0
+    slope: float = 0.5
+    height_weight: float = 1.0
+
+
+N_COLOUR = 4
+"""Channels 0 to 3 hold the colour's angles (2, 2, 4, 4), channels 4 and 5 the slope."""
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """Stack (6, h, w) of channels, and where colour and height are known (2, h, w), 0 or 1."""
+
+    values: Array32
+    known: Array32
+
+
+def make_channels(raster: Raster, options: ChannelOptions) -> Channels:
+    """Channels of a picture; zero where it is unknown."""
+    colour, colour_mask = _colour(raster.rgb, raster.mask, options)
+    if raster.height is None:
+        height, height_mask = np.zeros((2, *raster.mask.shape), np.float32), np.zeros(raster.mask.shape, np.float32)
+    else:
+        height, height_mask = _height(raster.height, options)
+    return Channels(np.concatenate([colour, height]), np.stack([colour_mask, height_mask]))
+
+
+def rotate_angles(values: Array32, radians: float) -> Array32:
+    """Channels (6, ...) after their picture was turned by `radians` from u towards v."""
+    turned = np.empty_like(values)
+    for start, order in ((0, 2), (2, 4), (4, 1)):
+        c, s = np.float32(np.cos(order * radians)), np.float32(np.sin(order * radians))
+        turned[start] = c * values[start] - s * values[start + 1]
+        turned[start + 1] = s * values[start] + c * values[start + 1]
+    return turned
+
+
+def _colour(rgb: Image, mask: Mask, options: ChannelOptions) -> tuple[Array32, Array32]:
+    inner = _shrink(mask, 2)
+    log = np.log(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) + 16)
+    gu, gv = _gradient(_fill(log, mask), options.smooth_px)
+    magnitude = np.hypot(gu, gv) * inner
+    compressed = np.tanh(magnitude / (1.5 * _local_rms(magnitude, inner, options.local_px) + 1e-6))
+    c, s = gu / (magnitude + 1e-9), gv / (magnitude + 1e-9)
+    c2, s2 = c * c - s * s, 2 * c * s
+    c4, s4 = c2 * c2 - s2 * s2, 2 * c2 * s2
+    stack = [_blur(compressed * x * inner, options.pool_px) for x in (c2, s2, c4, s4)]
+    return _scaled(np.stack(stack), inner, options.local_px), inner
+
+
+def _height(height: Array32, options: ChannelOptions) -> tuple[Array32, Array32]:
+    mask = np.isfinite(height)
+    inner = _shrink(mask, 2)
+    gu, gv = _gradient(_fill(height, mask), 1.5 * options.smooth_px)
+    slope = np.hypot(gu, gv)
+    gain = np.tanh(slope / options.slope) / (slope + 1e-9) * inner * options.height_weight
+    stack = np.stack([_blur(gu * gain, options.pool_px), _blur(gv * gain, options.pool_px)])
+    return stack.astype(np.float32), inner
+
+
+def _scaled(stack: Array32, inner: Array32, local_px: float) -> Array32:
+    """Divide by the neighbourhood's energy, so that a car park does not outvote a meadow's only path."""
+    rms = _local_rms(np.sqrt((stack * stack).sum(axis=0)), inner, 2 * local_px)
+    return np.asarray(stack * inner / (rms + 0.1), dtype=np.float32)
+
+
+def _local_rms(values: Array32, mask: Array32, sigma: float) -> Array32:
+    weight = _blur(mask, sigma)
+    return np.sqrt(np.maximum(_blur(values * values * mask, sigma), 0) / np.maximum(weight, 1e-3))
+
+
+def _gradient(values: Array32, sigma: float) -> tuple[Array32, Array32]:
+    smooth = _blur(values, sigma)
+    return cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32), cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)
+
+
+def _fill(values: Array32, mask: Mask) -> Array32:
+    """Continue a picture beyond its mask with local means, so that its border is no edge."""
+    known = mask.astype(np.float32)
+    filled = np.where(mask, values, 0).astype(np.float32)
+    for sigma in (2.0, 8.0, 32.0):
+        weight = _blur(known, sigma)
+        mean = _blur(np.where(known > 0, filled, 0), sigma) / np.maximum(weight, 1e-6)
+        reach = (known == 0) & (weight > 1e-2)
+        filled[reach] = mean[reach]
+        known[reach] = 1
+    overall = float(values[mask].mean()) if mask.any() else 0.0
+    filled[known == 0] = overall
+    return filled
+
+
+def _shrink(mask: Mask, px: int) -> Array32:
+    padded = cv2.erode(mask.astype(np.uint8), np.ones((2 * px + 1, 2 * px + 1), np.uint8), borderValue=0)
+    return padded.astype(np.float32)
+
+
+def _blur(values: Array32, sigma: float) -> Array32:
+    if sigma > 4:  # a large Gaussian is smooth: three box filters are as good and do not grow with sigma
+        width = 2 * int(sigma * 1.0 + 0.5) + 1
+        for _ in range(3):
+            values = cv2.blur(values, (width, width), borderType=cv2.BORDER_REFLECT)
+        return np.asarray(values, dtype=np.float32)
+    return np.asarray(cv2.GaussianBlur(values.astype(np.float32, copy=False), (0, 0), sigma), dtype=np.float32)

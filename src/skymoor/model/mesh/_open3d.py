@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Open3D's volume and ray caster, behind two functions; imported late because it takes seconds."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skymoor.errors import BackendUnavailable, DegenerateGeometry
+from skymoor.types import Array32, DepthMap, Progress
+
+
+def open3d() -> ModuleType:
+    """Import Open3D; its wheel wants a libusb that few machines have, so ours comes from a package."""
+    try:
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+        import open3d as module
+    except (ImportError, OSError) as error:
+        raise BackendUnavailable(f"Open3D does not load ({error}): pip install open3d-cpu libusb-package") from error
+    return module  # type: ignore[no-any-return]
+
+
+def fuse_mesh(
+    maps: Sequence[DepthMap],
+    usable: Sequence[NDArray[np.bool_]],
+    *,
+    voxel: float,
+    trunc_voxels: float,
+    min_weight: float,
+    progress: Progress,
+) -> tuple[Array32, NDArray[np.int32]]:
+    """Truncated signed distance volume (Curless and Levoy 1996) of depth maps, as vertices (n, 3) and triangles (m, 3).
+
+    Raises:
+        DegenerateGeometry: the depth maps hold no surface.
+    """
+    o3d = open3d()
+    core = o3d.core
+    device = core.Device("CPU:0")
+    volume = o3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight"), (core.float32, core.float32), ((1), (1)), voxel, 8, 20000, device
+    )
+    for done, (depth_map, use) in enumerate(zip(maps, usable, strict=True)):
+        depth = np.where(use, depth_map.depth, 0).astype(np.float32)
+        if depth.any():
+            image = o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(depth[..., None])))
+            matrix = core.Tensor(depth_map.camera.intrinsics.matrix_cv())
+            pose = core.Tensor(depth_map.camera.cam_from_world.matrix())
+            far = float(depth.max()) * 1.01
+            blocks = volume.compute_unique_block_coordinates(image, matrix, pose, 1.0, far, trunc_voxels)
+            volume.integrate(blocks, image, matrix, pose, 1.0, far, trunc_voxels)
+        progress(done + 1, len(maps))
+    mesh = volume.extract_triangle_mesh(weight_threshold=min_weight)
+    if "positions" not in mesh.vertex or "indices" not in mesh.triangle or not len(mesh.triangle.indices):
+        raise DegenerateGeometry("the depth maps hold no common surface")
+    return mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy().astype(np.int32)
+
+
+class RayCaster:
+    """Embree, through Open3D."""
+
+    def __init__(self, vertices: Array32, triangles: NDArray[np.int32]) -> None:
+        o3d = open3d()
+        self._tensor: Any = o3d.core.Tensor
+        self._scene: Any = o3d.t.geometry.RaycastingScene(nthreads=os.cpu_count() or 0)
+        self._scene.add_triangles(
+            self._tensor(np.ascontiguousarray(vertices, np.float32)),
+            self._tensor(np.ascontiguousarray(triangles, np.uint32)),
+        )
+
+    def cast(self, origins: Array32, directions: Array32) -> Array32:
+        """Distance (...,) along each ray in units of its direction, infinite where it hits nothing."""
+        rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=-1)
+        hits = self._scene.cast_rays(self._tensor(np.ascontiguousarray(rays, np.float32)))
+        return np.asarray(hits["t_hit"].numpy(), dtype=np.float32)

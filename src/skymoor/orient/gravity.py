@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gravity from geometry alone (paper, section 3.1, gravity vector estimation; Szeliski 2006 for the horizon).
+
+Two witnesses are weighed by what they are worth. The ground plane is limited by the slope of the terrain. The x-axes
+of cameras that people and gimbals hold level lie in the horizon, so the direction across all of them is up: accurate
+to a fraction of a degree where headings differ, but blind where all photos look the same way. Each gives a 3 x 3
+information matrix for the up vector; the smallest eigenvector of the sum is the answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skymoor.errors import DegenerateGeometry, TooFewMatches
+from skymoor.geometry.plane import Plane, fit_plane_ransac
+from skymoor.geometry.similarity import Similarity
+from skymoor.types import Array, Component, Gravity
+
+
+@dataclass(frozen=True)
+class OrientOptions:
+    """How much each witness is believed.
+
+    Attributes:
+        terrain_slope_deg: expected slope of the ground over the site.
+        roll_floor_deg: cameras are never believed to be held more level than this.
+        common_roll_deg: all cameras may share a roll of this size; it cancels only where headings differ.
+        plane_threshold_ratio: RANSAC threshold as a share of the median camera-to-point distance.
+        portrait_deg: an x-axis further from the horizon than this belongs to a photo turned on its side.
+    """
+
+    terrain_slope_deg: float = 2.0
+    roll_floor_deg: float = 0.5
+    common_roll_deg: float = 1.0
+    plane_threshold_ratio: float = 0.02
+    portrait_deg: float = 20.0
+
+
+def estimate_gravity(
+    component: Component, options: OrientOptions | None = None, *, rng: np.random.Generator
+) -> Gravity:
+    """Find up.
+
+    Raises:
+        DegenerateGeometry: neither the points nor the cameras determine a plane.
+    """
+    options = options or OrientOptions()
+    rays = component.points[component.obs_point] - component.centres[component.obs_camera]
+    distance = float(np.median(np.linalg.norm(rays, axis=1)))
+    plane = _ground_plane(component, options.plane_threshold_ratio * distance, rng)
+    normal = plane.normal * _sign(component, plane.normal, rays)
+    horizon, roll_deg = horizon_information(component, normal, options)
+    slope = np.radians(options.terrain_slope_deg)
+    ground = (np.eye(3) - np.outer(normal, normal)) / slope**2
+    values, vectors = np.linalg.eigh(horizon + ground)
+    up = vectors[:, 0] * np.sign(vectors[:, 0] @ normal)
+    tangent_values, tangent = np.linalg.eigh(horizon)
+    cameras_up = tangent[:, 0] * np.sign(tangent[:, 0] @ normal)
+    determined = tangent_values[1] > 1 / slope**2
+    plane_height = float(np.median(component.points[_near(component, plane, distance, options)] @ up))
+    camera_height = float(np.median(component.centres @ up)) - plane_height
+    if camera_height <= 0:
+        raise DegenerateGeometry("the cameras lie below the ground that they see: up could not be told")
+    return Gravity(
+        up=up,
+        sigma_deg=float(np.degrees(np.sqrt(1 / values[1]))),
+        plane_height=plane_height,
+        camera_height=camera_height,
+        method=f"plane and {len(component.cameras)} cameras level to {roll_deg:.1f} deg" if determined else "plane",
+        disagreement_deg=_angle_deg(cameras_up, normal) if determined else float("nan"),
+    )
+
+
+def level_from_gravity(component: Component, gravity: Gravity) -> Similarity:
+    """The `level` frame: z up, ground at z = 0, cameras' mean at x = y = 0, and their median height above ground 1.
+
+    With this unit, a model's scale in metres is its flying height: a number about which something is known beforehand.
+    """
+    z = gravity.up
+    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    rotation = np.stack([x, np.cross(z, x), z])
+    scale = 1 / gravity.camera_height
+    middle = rotation @ component.centres.mean(axis=0)
+    return Similarity(scale, rotation, -scale * np.array([middle[0], middle[1], gravity.plane_height]))
+
+
+def horizon_information(component: Component, up: Array, options: OrientOptions) -> tuple[Array, float]:
+    """Information (3, 3), rad^-2, that the cameras' horizontal axes give about up, and their roll's sigma in degrees.
+
+    A photo stored on its side has its y-axis in the horizon. Robust by reweighting (Cauchy).
+    """
+    axes = np.array([camera.cam_from_world.rotation for camera in component.cameras])
+    off_x, off_y = np.abs(axes[:, 0] @ up), np.abs(axes[:, 1] @ up)
+    sideways = (off_x > np.sin(np.radians(options.portrait_deg))) & (off_y < off_x)
+    horizontal = np.where(sideways[:, None], axes[:, 1], axes[:, 0])
+    sigma, weights = np.radians(10.0), np.ones(len(horizontal))
+    slope = np.radians(options.terrain_slope_deg)
+    for _ in range(10):
+        information = _information(horizontal, weights / sigma**2, np.radians(options.common_roll_deg))
+        prior = (np.eye(3) - np.outer(up, up)) / slope**2
+        direction = np.linalg.eigh(information + prior)[1][:, 0]
+        residual = horizontal @ direction
+        sigma = max(1.4826 * float(np.median(np.abs(residual))), np.radians(options.roll_floor_deg))
+        weights = 1 / (1 + (residual / (2.4 * sigma)) ** 2)
+    return np.asarray(information), float(np.degrees(sigma))
+
+
+def _information(axes: Array, weights: Array, common: float) -> Array:
+    """Normal matrix (3, 3) of axes (n, 3) with independent errors and one error common to all (Woodbury)."""
+    total = axes.T @ weights
+    return np.asarray((axes.T * weights) @ axes - np.outer(total, total) / (1 / common**2 + weights.sum()))
+
+
+def _ground_plane(component: Component, threshold: float, rng: np.random.Generator) -> Plane:
+    try:
+        plane, _ = fit_plane_ransac(component.points, threshold=threshold, rng=rng)
+    except TooFewMatches as error:
+        raise DegenerateGeometry(f"too few points for a ground plane: {error}") from error
+    return plane
+
+
+def _near(component: Component, plane: Plane, distance: float, options: OrientOptions) -> Array:
+    return np.asarray(np.abs(component.points @ plane.normal - plane.offset) < options.plane_threshold_ratio * distance)
+
+
+def _sign(component: Component, normal: Array, rays: Array) -> float:
+    """+1 if most viewing rays come down on the side to which the normal points (the paper's rule), else -1.
+
+    Rays to the points that a camera sees vote, not optical axes: ground cameras look slightly upwards.
+    """
+    return 1.0 if np.mean(rays @ normal < 0) >= 0.5 else -1.0
+
+
+def _angle_deg(a: Array, b: Array) -> float:
+    return float(np.degrees(np.arccos(np.clip(a @ b, -1, 1))))

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well photos without metadata fix their own focal length, and what follows when something else fixes it better.
+
+A block of photos from one height over nearly flat ground explains itself as well with a longer lens from higher up.
+The formal covariance of the bundle adjustment does not show it, because residuals are not independent: so the focal
+length is also held at other values while everything else is adjusted, and the cost tells which of them are as good
+(a profile likelihood). Measured in docs/decisions/0004.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pycolmap
+
+from skymoor.colmap import colmap_from_component, component_from_colmap
+from skymoor.types import Calibration, Component
+
+PROFILE_RATIOS = (0.8, 0.9, 0.95, 0.98, 1.02, 1.05, 1.1, 1.25)
+AS_GOOD = 0.01
+"""Relative growth of the squared residuals below which two calibrations explain the photos about as well."""
+UNCERTAIN_RATIO = 0.05
+"""Heights scale with the focal length: a wider interval than this makes heights a matter of luck."""
+
+
+def adjust(
+    reconstruction: pycolmap.Reconstruction,
+    *,
+    focal: bool = True,
+    principal_point: bool = False,
+    extra: bool = True,
+    max_iterations: int = 50,
+) -> float:
+    """Bundle adjustment in place; returns the root mean square reprojection error in pixels."""
+    options = pycolmap.BundleAdjustmentOptions(
+        refine_focal_length=focal,
+        refine_principal_point=principal_point,
+        refine_extra_params=extra,
+        print_summary=False,
+    )
+    options.ceres.solver_options.max_num_iterations = max_iterations
+    options.ceres.solver_options.function_tolerance = 1e-6
+    pycolmap.bundle_adjustment(reconstruction, options)
+    reconstruction.update_point_3d_errors()
+    return rms_px(reconstruction)
+
+
+def rms_px(reconstruction: pycolmap.Reconstruction) -> float:
+    """Root mean square reprojection error over all observations, in pixels."""
+    points = reconstruction.points3D.values()
+    squared = sum(p.error**2 * p.track.length() for p in points)
+    return float(np.sqrt(squared / max(1, sum(p.track.length() for p in points))))
+
+
+def calibrate(reconstruction: pycolmap.Reconstruction, *, ratios: Sequence[float] = PROFILE_RATIOS) -> Calibration:
+    """Profile the focal length of a finished reconstruction; the reconstruction is left as it was."""
+    cameras = {reconstruction.image(i).camera_id for i in reconstruction.reg_image_ids()}
+    focal_px = float(np.median([reconstruction.camera(c).mean_focal_length() for c in cameras]))
+    base = thin(reconstruction)
+    rms = adjust(base)
+    excess = {1.0: 0.0}
+    for ratio in ratios:
+        trial = pycolmap.Reconstruction(base)
+        scale_focal(trial, ratio)
+        excess[ratio] = (adjust(trial, focal=False) / rms) ** 2 - 1
+    good = [ratio for ratio, value in excess.items() if value < AS_GOOD]
+    low, high = _crossing(excess, min(good), -1), _crossing(excess, max(good), +1)
+    return Calibration(
+        shared_intrinsics=len(cameras) == 1,
+        focal_px=focal_px,
+        focal_sigma_ratio=focal_sigma(base),
+        focal_low_ratio=low,
+        focal_high_ratio=high,
+        uncertain=high - low > UNCERTAIN_RATIO,
+    )
+
+
+def _crossing(excess: dict[float, float], edge: float, direction: int) -> float:
+    """Where the cost passes `AS_GOOD` beyond the last good ratio, by a parabola's law in between."""
+    beyond = sorted((r for r in excess if (r - edge) * direction > 0), key=lambda r: abs(r - edge))
+    if not beyond:
+        return edge
+    low, high = max(excess[edge], 0.0) ** 0.5, excess[beyond[0]] ** 0.5
+    share = (AS_GOOD**0.5 - low) / (high - low)
+    return edge + (beyond[0] - edge) * float(np.clip(share, 0, 1))
+
+
+def scale_focal(reconstruction: pycolmap.Reconstruction, ratio: float) -> None:
+    """Multiply the focal lengths, and the depths with them: the start of the adjustment that absorbs the change."""
+    for camera in reconstruction.cameras.values():
+        for index in camera.focal_length_idxs():
+            params = camera.params
+            params[index] *= ratio
+            camera.params = params
+
+
+def thin(reconstruction: pycolmap.Reconstruction, max_points: int = 4000) -> pycolmap.Reconstruction:
+    """A copy with only the longest tracks: enough to judge the calibration, several times faster."""
+    copy = pycolmap.Reconstruction(reconstruction)
+    lengths = {k: p.track.length() for k, p in copy.points3D.items()}
+    for k in sorted(lengths, key=lambda k: -lengths[k])[max_points:]:
+        copy.delete_point3D(k)
+    return copy
+
+
+def focal_sigma(reconstruction: pycolmap.Reconstruction) -> float:
+    """Relative standard deviation of the focal length by the adjustment's own covariance (optimistic), NaN unknown."""
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in reconstruction.reg_image_ids():
+        config.add_image(image_id)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, reconstruction)
+    wanted = pycolmap.BACovarianceOptions(params=pycolmap.BACovarianceOptionsParams.ALL)
+    covariance = pycolmap.estimate_ba_covariance(wanted, reconstruction, adjuster)
+    if covariance is None:
+        return float("nan")
+    sigmas = []
+    for camera in reconstruction.cameras.values():
+        block = covariance.get_other_params_cov(camera.params)
+        if block is not None:
+            sigmas.append(float(np.sqrt(block[0, 0])) / camera.mean_focal_length())
+    return float(np.median(sigmas)) * rms_px(reconstruction) if sigmas else float("nan")
+
+
+def with_focal(component: Component, ratio: float) -> Component:
+    """The component adjusted again with its focal lengths held at `ratio` times their present value.
+
+    The camera names, point order and colours stay; the frame is put back by COLMAP's fixed first camera only, so
+    orient the result anew.
+    """
+    reconstruction = colmap_from_component(component)
+    scale_focal(reconstruction, ratio)
+    adjust(reconstruction, focal=False)
+    same_names = {camera.image: camera.image for camera in component.cameras}
+    adjusted = component_from_colmap(reconstruction, same_names)
+    known = component.calibration
+    if known is not None:
+        known = replace(known, focal_px=known.focal_px * ratio)
+    return replace(adjusted, colours=component.colours, calibration=known)

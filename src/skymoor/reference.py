@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reference: a satellite orthophoto and its DSM, resampled to one north-up grid in local metres."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rasterio.io import DatasetReader
+from rasterio.windows import Window
+
+from skymoor.errors import InputError
+from skymoor.geo.accuracy import checked_covariance
+from skymoor.geo.datum import Heights, ellipsoid_from_datum, same_vertical_datum
+from skymoor.geo.frame import EnuFrame
+from skymoor.geo.grid import Grid, sample
+from skymoor.geo.raster import (
+    MapRaster,
+    block_mean,
+    clipped_to_raster,
+    opened,
+    read_colours,
+    read_heights,
+    window_around,
+)
+from skymoor.types import Image, Mask, Reference
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+# Between nodes this far apart, map projections, the geoid and the curvature of the Earth are straight lines to well
+# below a millimetre.
+LATTICE_PX = 16
+LATTICE_M = 80.0
+TILE_PX = 1024
+# Pixels of a source that one tile may read.
+WINDOW_PX = 4096
+# Heights on Earth, with a margin for geoid and towers; beyond are feet, centimetres or a nodata value not declared.
+HEIGHT_RANGE_M = (-1000.0, 10000.0)
+MIN_SIDE_PX = 8
+STRETCH_PERCENT = (1.0, 99.0)
+STATISTICS_PX = 1000
+
+
+def read_reference(
+    ortho: Path,
+    dsm: Path,
+    vertical_datum: str | None,
+    covariance: ArrayLike,
+    *,
+    max_pixels: float = 40e6,
+    pixel_m: float | None = None,
+) -> Reference:
+    """Read an orthophoto and a DSM, in whatever CRS each, onto one grid in the local frame at their overlap's centre.
+
+    `vertical_datum` says what the DSM's heights refer to ("ellipsoid" or a vertical CRS such as "EPSG:3855"); None
+    takes it from the DSM's CRS. `covariance` (3, 3) is the reference's accuracy in m^2, east-north-up. The grid's
+    pixel is the orthophoto's, or `pixel_m` if that is coarser, and coarser still to stay below `max_pixels`.
+    Raises `InputError`, one line that names the file and the mend, for all that is wrong with the input.
+    """
+    covariance = checked_covariance(covariance)
+    maps = MapRaster.of(Path(ortho)), MapRaster.of(Path(dsm))
+    datum = _agreed_datum(maps[1], vertical_datum)
+    overlap = _overlap(*maps)
+    with ExitStack() as stack:
+        sources = stack.enter_context(opened(maps[0].path)), stack.enter_context(opened(maps[1].path))
+        site = _Site.of(maps, overlap, sources[1], datum)
+        grid = site.grid(maps[0], overlap, max_pixels, pixel_m)
+        stretch = _stretch(sources[0], maps[0])
+        rgb, mask = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
+        height = np.full(grid.shape, np.nan, np.float32)
+        for rows, columns in _tiles(grid.shape, _tile_px(maps, site.frame, grid)):
+            lattice = _Lattice.of(grid, rows, columns, site.frame)
+            rgb[rows, columns], mask[rows, columns] = _colour_tile(sources[0], maps[0], lattice, stretch)
+            height[rows, columns] = _height_tile(sources[1], maps[1], lattice, site)
+    _require_data(maps, mask, np.isfinite(height))
+    sides = maps[1].pixel_sides_m(site.frame)
+    dsm_pixel_m = float(np.sqrt(abs(np.linalg.det(sides))))
+    return Reference(site.frame, grid, rgb, mask, height, covariance, dsm_pixel_m)
+
+
+def _agreed_datum(dsm: MapRaster, stated: str | None) -> str:
+    if stated is None and dsm.vertical_datum is None:
+        raise InputError(
+            f"{dsm.path}: nothing says what its heights refer to; set reference.vertical_datum to "
+            '"ellipsoid" or to the EPSG code of a vertical CRS, such as "EPSG:3855"'
+        )
+    if stated is not None and dsm.vertical_datum is not None and not same_vertical_datum(stated, dsm.vertical_datum):
+        raise InputError(
+            f"{dsm.path}: its coordinate reference system says heights are {dsm.vertical_datum}, but "
+            f"reference.vertical_datum is {stated}; correct one of them"
+        )
+    datum = stated if dsm.vertical_datum is None else dsm.vertical_datum
+    assert datum is not None
+    return datum
+
+
+def _overlap(ortho: MapRaster, dsm: MapRaster) -> Array:
+    """Outline (n, 2) of the common area in longitude and latitude."""
+    border = ortho.lonlat_from_px(ortho.border_px())
+    polygon = clipped_to_raster(dsm.px_from_lonlat(border), dsm)
+    if len(polygon) < 3:
+        raise InputError(f"orthophoto and DSM do not overlap: {ortho.extent()}; {dsm.extent()}; check both files")
+    # The corners that clipping makes are far apart, and straight lines in one CRS bend in another.
+    t = np.arange(8)[:, None, None] / 8
+    dense = polygon * (1 - t) + np.roll(polygon, -1, axis=0) * t
+    return dsm.lonlat_from_px(dense.transpose(1, 0, 2).reshape(-1, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Site:
+    """The local frame, and how the DSM's numbers become metres in it."""
+
+    frame: EnuFrame
+    heights: Heights
+    dsm_unit_m: float
+
+    @classmethod
+    def of(cls, maps: tuple[MapRaster, MapRaster], overlap: Array, source: DatasetReader, datum: str) -> _Site:
+        """Frame at the centre of the overlap, at the median height there."""
+        start = EnuFrame(overlap[0, 1], overlap[0, 0], 0.0)
+        outline = start.enu_from_lla(overlap[:, 1], overlap[:, 0], 0.0)[:, :2]
+        middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+        lat, lon, _ = (float(value) for value in start.lla_from_enu([*middle, 0.0])[0])
+        window = window_around(maps[1].px_from_lonlat(overlap), maps[1].shape, (1, 1))
+        assert window is not None  # the overlap is a part of the DSM
+        step = max(1, int(window.height) // STATISTICS_PX), max(1, int(window.width) // STATISTICS_PX)
+        heights = read_heights(source, window, step)
+        if not np.isfinite(heights).any():
+            raise InputError(
+                f"{maps[1].path}: no valid height where it overlaps the orthophoto (nodata is {source.nodata}); "
+                "check the file"
+            )
+        to_ellipsoid = ellipsoid_from_datum(datum, overlap[:, 1], overlap[:, 0])
+        zero, kilo = to_ellipsoid(lat, lon, [0.0, 1000.0])
+        unit = float(kilo - zero) / 1000.0
+        if str(source.units[0]).lower().startswith(("f", "us survey f")) and unit > 0.99:
+            raise InputError(
+                f"{maps[1].path}: its band says that heights are in {source.units[0]}, its datum is in metres; "
+                "convert the heights, or state a vertical CRS in feet"
+            )
+        _require_plausible(maps[1].path, heights, unit)
+        return cls(EnuFrame(lat, lon, float(zero + unit * np.nanmedian(heights))), to_ellipsoid, unit)
+
+    def grid(self, ortho: MapRaster, overlap: Array, max_pixels: float, pixel_m: float | None) -> Grid:
+        """North-up grid of the overlap's bounding box."""
+        outline = self.frame.enu_from_lla(overlap[:, 1], overlap[:, 0], self.frame.height_m)[:, :2]
+        (west, south), (east, north) = outline.min(axis=0), outline.max(axis=0)
+        own = float(np.sqrt(abs(np.linalg.det(ortho.pixel_sides_m(self.frame)))))
+        pixel = max(own, pixel_m or 0.0, float(np.sqrt((east - west) * (north - south) / max_pixels)))
+        shape = round((north - south) / pixel), round((east - west) / pixel)
+        if min(shape) < MIN_SIDE_PX:
+            raise InputError(
+                f"{ortho.path}: its overlap with the DSM is only {east - west:.1f} m by {north - south:.1f} m, "
+                f"{shape[1]} by {shape[0]} pixels; check both files"
+            )
+        return Grid(float(west), float(north), pixel, (int(shape[0]), int(shape[1])))
+
+
+@dataclass(frozen=True, eq=False)
+class _Lattice:
+    """Sparse nodes over a tile of the grid, and the linear interpolation from them to its pixel centres."""
+
+    lla: Array  # (m * n, 3), of the nodes at up = 0
+    nodes: tuple[Array, Array]  # node rows and columns in pixels
+    centres: tuple[Array, Array]  # pixel centres in pixels
+
+    @classmethod
+    def of(cls, grid: Grid, rows: slice, columns: slice, frame: EnuFrame) -> _Lattice:
+        centres = tuple(np.arange(side.start, side.stop) + 0.5 for side in (rows, columns))
+        spacing = int(np.clip(LATTICE_M / grid.pixel_m, 1, LATTICE_PX))
+        nodes = tuple(np.linspace(c[0], c[-1], 2 + len(c) // spacing) for c in centres)
+        v, u = np.meshgrid(*nodes, indexing="ij")
+        plan = grid.enu_from_px(np.column_stack([u.ravel(), v.ravel()]))
+        lla = frame.lla_from_enu(np.column_stack([plan, np.zeros(len(plan))]))
+        return cls(lla, (nodes[0], nodes[1]), (centres[0], centres[1]))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the tile."""
+        return len(self.centres[0]), len(self.centres[1])
+
+    def spread(self, values: Array) -> Array:
+        """Values (rows, columns) at the pixel centres of values (m * n,) at the nodes."""
+        table = values.reshape(len(self.nodes[0]), len(self.nodes[1]))
+        for axis in (0, 1):
+            nodes, centres = self.nodes[axis], self.centres[axis]
+            place = (centres - nodes[0]) / max(nodes[1] - nodes[0], 1e-9)
+            low = np.minimum(place.astype(np.intp), len(nodes) - 2)
+            share = np.expand_dims(place - low, 1 - axis)
+            table = np.take(table, low, axis) * (1.0 - share) + np.take(table, low + 1, axis) * share
+        return table
+
+    def px(self, raster: MapRaster) -> tuple[Array, Array]:
+        """Pixel coordinates u and v, each (rows, columns), in a raster."""
+        px = raster.px_from_lonlat(self.lla[:, [1, 0]])
+        return self.spread(px[:, 0]), self.spread(px[:, 1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """The part of a raster under a tile of the grid, to be averaged over blocks of `step` before sampling."""
+
+    window: Window
+    step: tuple[int, int]  # rows, columns
+    u: Array  # columns and rows in averaged blocks, one per pixel of the tile
+    v: Array
+
+    @classmethod
+    def of(cls, raster: MapRaster, lattice: _Lattice) -> _Cut | None:
+        """None where the raster does not reach."""
+        u, v = lattice.px(raster)
+        step = _rate(v), _rate(u)
+        window = window_around(np.column_stack([u.ravel(), v.ravel()]), raster.shape, step)
+        if window is None:
+            return None
+        return cls(window, step, (u - window.col_off) / step[1], (v - window.row_off) / step[0])
+
+
+def _colour_tile(
+    source: DatasetReader, raster: MapRaster, lattice: _Lattice, stretch: Callable[[Array32], Array32]
+) -> tuple[Image, Mask]:
+    cut = _Cut.of(raster, lattice)
+    if cut is None:
+        return np.zeros((*lattice.shape, 3), np.uint8), np.zeros(lattice.shape, bool)
+    colours, valid = read_colours(source, cut.window)
+    # Colours count by their validity throughout, so that no black leaks in from where there is no image.
+    weighted = np.concatenate([stretch(colours) * valid[..., None], valid[..., None]], axis=-1)
+    map_u, map_v = (np.nan_to_num(p - 0.5, nan=-9.0).astype(np.float32) for p in (cut.u, cut.v))
+    blocks = block_mean(weighted, cut.step)
+    # Beyond the border the nearest block holds on for half of itself; what is outside the raster is masked below.
+    mixed = cv2.remap(blocks, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    inside = (cut.u >= 0) & (cut.v >= 0) & (cut.u <= blocks.shape[1]) & (cut.v <= blocks.shape[0])
+    mask = (mixed[..., 3] >= 0.5) & inside
+    rgb = np.where(mask[..., None], mixed[..., :3] / np.maximum(mixed[..., 3:], 0.5), 0.0)
+    return np.clip(np.rint(rgb), 0, 255).astype(np.uint8), mask
+
+
+def _height_tile(source: DatasetReader, raster: MapRaster, lattice: _Lattice, site: _Site) -> Array32:
+    cut = _Cut.of(raster, lattice)
+    if cut is None:
+        return np.full(lattice.shape, np.nan, np.float32)
+    heights = read_heights(source, cut.window)
+    _require_plausible(raster.path, heights, site.dsm_unit_m)
+    # OpenCV rounds its weights to 1/32 pixel, which would show in heights.
+    own = sample(block_mean(heights, cut.step), np.column_stack([cut.u.ravel(), cut.v.ravel()]))
+    lat, lon, level = lattice.lla.T
+    # The geoid minus the height of the plane up = 0, which bends away from the ellipsoid, is smooth.
+    up_of_zero = lattice.spread(site.heights(lat, lon, np.zeros(len(lat))) - level)
+    return (own.reshape(lattice.shape) * site.dsm_unit_m + up_of_zero).astype(np.float32)
+
+
+def _rate(place: Array) -> int:
+    """Whole source pixels per grid pixel, from the source column (or row) of each pixel of a tile, at least 1."""
+    rows, columns = place.shape
+    across = np.ptp(place[rows // 2]) / max(columns - 1, 1)
+    down = np.ptp(place[:, columns // 2]) / max(rows - 1, 1)
+    rate = float(np.hypot(across, down))
+    return max(1, round(rate)) if np.isfinite(rate) else 1
+
+
+def _tile_px(maps: tuple[MapRaster, MapRaster], frame: EnuFrame, grid: Grid) -> int:
+    finest = min(float(np.linalg.norm(raster.pixel_sides_m(frame), axis=1).min()) for raster in maps)
+    return int(np.clip(WINDOW_PX * finest / grid.pixel_m, 32, TILE_PX))
+
+
+def _tiles(shape: tuple[int, int], side: int) -> Iterator[tuple[slice, slice]]:
+    for top in range(0, shape[0], side):
+        for left in range(0, shape[1], side):
+            yield slice(top, min(top + side, shape[0])), slice(left, min(left + side, shape[1]))
+
+
+def _stretch(source: DatasetReader, raster: MapRaster) -> Callable[[Array32], Array32]:
+    """What brings colours to 0..255: nothing for 8 bits, else the middle 98 % of all valid values of all bands."""
+    if all(kind == "uint8" for kind in source.dtypes):
+        return lambda colours: colours
+    rows, columns = raster.shape
+    step = max(1, rows // STATISTICS_PX), max(1, columns // STATISTICS_PX)
+    colours, valid = read_colours(source, Window(0, 0, columns, rows), step)
+    if not valid.any():
+        raise InputError(f"{raster.path}: the orthophoto has no valid pixel; check its nodata value and mask")
+    low, high = (float(value) for value in np.percentile(colours[valid > 0], STRETCH_PERCENT))
+    gain = 255.0 / max(high - low, 1e-12)
+    return lambda colours: np.clip((colours - low) * gain, 0.0, 255.0).astype(np.float32)
+
+
+def _require_plausible(path: Path, heights: Array, unit_m: float) -> None:
+    metres = heights[np.isfinite(heights)] * unit_m
+    absurd = metres[(metres < HEIGHT_RANGE_M[0]) | (metres > HEIGHT_RANGE_M[1])]
+    if absurd.size:
+        raise InputError(
+            f"{path}: {absurd.size} heights are not on Earth, such as {absurd[0] / unit_m:g}; declare that "
+            "nodata value (gdal_edit -a_nodata), or convert the heights to metres"
+        )
+
+
+def _require_data(maps: tuple[MapRaster, MapRaster], mask: Mask, known: Mask) -> None:
+    if not mask.any():
+        raise InputError(f"{maps[0].path}: no valid pixel where it overlaps the DSM; check its nodata value and mask")
+    if not known.any():
+        raise InputError(f"{maps[1].path}: no valid height where it overlaps the orthophoto; check its nodata value")
+    if not (mask & known).any():
+        raise InputError(f"{maps[0].path}: its valid pixels nowhere meet valid heights of {maps[1].path}; check both")

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tables that skymoor reads: truth.csv of a user, cameras.csv of a run."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from skymoor.errors import InputError
+from skymoor.evaluate import Estimate, Truth
+
+TRUTH_COLUMNS = ("image", "lat", "lon", "height")
+CAMERA_COLUMNS = ("image", "set", "component", "status", "lat", "lon", "height", "ce90", "le90")
+
+
+def read_truth_csv(path: Path) -> list[Truth]:
+    """Read `image,lat,lon,height` (WGS 84 degrees, ellipsoidal metres); more columns are allowed.
+
+    Raises `InputError`, naming file and line, for a missing column, a number that is none or out of range, and an
+    image that is listed twice.
+    """
+    truths: dict[str, Truth] = {}
+    for line, row in _rows(path, TRUTH_COLUMNS):
+        where = f"{path}, line {line}"
+        image = row["image"].strip().replace("\\", "/")
+        if not image:
+            raise InputError(f"{where}: the image has no name")
+        if image in truths:
+            raise InputError(f"{where}: the image {image} was listed before; keep one line")
+        numbers = [_number(row[column], column, where) for column in TRUTH_COLUMNS[1:]]
+        truths[image] = Truth(image, *numbers)
+    if not truths:
+        raise InputError(f"{path}: lists no images")
+    return list(truths.values())
+
+
+def read_cameras_csv(path: Path) -> list[Estimate]:
+    """Read the cameras.csv of a run. Raises `InputError`, naming file and line, for whatever does not fit."""
+    estimates = []
+    for line, row in _rows(path, CAMERA_COLUMNS):
+        where = f"{path}, line {line}"
+        if row["status"] not in ("REGISTERED", "NOT_REGISTERED"):
+            raise InputError(f"{where}: status {row['status']!r} is neither REGISTERED nor NOT_REGISTERED")
+        component = row["component"].strip()
+        if component and not component.isdigit():
+            raise InputError(f"{where}: component {component!r} is not a number")
+        numbers = {
+            column: _number(row[column], column, where) if row[column].strip() else None
+            for column in ("lat", "lon", "height", "ce90", "le90")
+        }
+        number = int(component) if component else None
+        estimates.append(Estimate(row["image"], row["set"], number, row["status"] == "REGISTERED", **numbers))
+    return estimates
+
+
+def _rows(path: Path, columns: Sequence[str]) -> list[tuple[int, Mapping[str, str]]]:
+    """Lines with their numbers, every cell text."""
+    try:
+        # utf-8-sig: spreadsheets put a byte order mark in front of the first column's name.
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file, strict=True)
+            header = [name.strip() for name in reader.fieldnames or ()]
+            missing = [column for column in columns if column not in header]
+            if missing:
+                raise InputError(
+                    f"{path}: the column {missing[0]} is missing; the first line must have {','.join(columns)}"
+                )
+            reader.fieldnames = header
+            rows: list[tuple[int, Mapping[str, str]]] = [(reader.line_num, row) for row in reader]
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as a table: {error}") from error
+    for line, row in rows:
+        if None in row or None in row.values():
+            raise InputError(f"{path}, line {line}: has {'more' if None in row else 'fewer'} cells than the first line")
+    return rows
+
+
+def _number(text: str, column: str, where: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        raise InputError(f"{where}: {column} = {text!r} is not a number") from None
+    limit = {"lat": 90.0, "lon": 360.0}.get(column, 1e6)
+    if not math.isfinite(number) or abs(number) > limit:
+        raise InputError(f"{where}: {column} = {text} is out of range")
+    return number

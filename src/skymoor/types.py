@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nouns that stages exchange: frozen, made of numpy arrays, free of paths.
+
+Frames: `sfm` (arbitrary), `level` (sfm rotated so that z is up), `enu` (metres at the site), see `geo.frame`.
+Pixels: u right, v down, the centre of the first pixel at (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skymoor.geo.frame import EnuFrame
+from skymoor.geo.grid import Grid
+from skymoor.geometry.camera import Intrinsics
+from skymoor.geometry.similarity import Similarity
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+Image = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+Progress = Callable[[int, int], None]
+"""Called with (steps done, steps in all)."""
+
+
+def no_progress(done: int, total: int) -> None:
+    """Ignore progress."""
+
+
+@dataclass(frozen=True)
+class Photos:
+    """A folder's images: names relative to the site, sizes (width, height), and how to read one as (h, w, 3) RGB."""
+
+    names: tuple[str, ...]
+    sizes: tuple[tuple[int, int], ...]
+    read: Callable[[str], Image]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A posed image. `cam_from_world` has scale 1; camera axes are x right, y down, z forward."""
+
+    image: str
+    intrinsics: Intrinsics
+    cam_from_world: Similarity
+
+    @property
+    def centre(self) -> Array:
+        """Projection centre in the world frame, (3,)."""
+        return self.cam_from_world.inverse().translation
+
+    def moved(self, target_from_world: Similarity) -> Camera:
+        """Express the camera in another frame; the similarity's scale moves the centre only."""
+        rotation = self.cam_from_world.rotation @ target_from_world.rotation.T
+        centre = target_from_world.apply(self.centre)
+        return replace(self, cam_from_world=Similarity(1.0, rotation, -rotation @ centre))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How well the photos alone fix the focal length.
+
+    `focal_low_ratio` and `focal_high_ratio` bound the focal lengths, relative to the estimate, that explain the
+    photos about as well (profile of the bundle adjustment's cost); `uncertain` says that the bounds are too wide for
+    heights to be believed.
+    """
+
+    shared_intrinsics: bool
+    focal_px: float
+    focal_sigma_ratio: float
+    focal_low_ratio: float
+    focal_high_ratio: float
+    uncertain: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """One connected reconstruction: cameras, points (n, 3), colours (n, 3), and the observations that tie them.
+
+    Observation k says that camera `obs_camera[k]` sees point `obs_point[k]` at pixel `obs_px[k]`.
+    """
+
+    cameras: tuple[Camera, ...]
+    points: Array
+    colours: Image
+    obs_camera: NDArray[np.int32]
+    obs_point: NDArray[np.int32]
+    obs_px: Array
+    reprojection_px: float
+    calibration: Calibration | None = None
+
+    @property
+    def centres(self) -> Array:
+        """Projection centres, (n cameras, 3)."""
+        return np.array([camera.centre for camera in self.cameras])
+
+    def moved(self, target_from_world: Similarity) -> Component:
+        """Express the component in another frame."""
+        cameras = tuple(camera.moved(target_from_world) for camera in self.cameras)
+        return replace(self, cameras=cameras, points=target_from_world.apply(self.points))
+
+
+@dataclass(frozen=True, eq=False)
+class Gravity:
+    """Up in the component's frame, with its estimated error and how it was found."""
+
+    up: Array
+    sigma_deg: float
+    plane_height: float  # of the ground plane along `up`, in component units
+    camera_height: float  # median height of the cameras above that plane, in component units
+    method: str
+    disagreement_deg: float  # between the ground plane's normal and the cameras' horizon
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """z-depth of an undistorted pinhole view, NaN where unknown, with its standard deviation, same unit."""
+
+    camera: Camera  # intrinsics without distortion, of the depth map's own size
+    depth: Array32
+    sigma: Array32
+    n_views: NDArray[np.uint8]  # how many stereo partners agree
+    rgb: Image
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """An orthographic camera: `view_from_level` turns level coordinates to x right, y down, z along the rays.
+
+    Pixel (u, v) is the ray x = x0 + u * pixel, y = y0 + v * pixel of the view frame.
+    """
+
+    view_from_level: Array  # (3, 3) rotation
+    x0: float
+    y0: float
+    pixel: float  # size of a pixel in level units
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Render:
+    """What a view of a model looks like: rgb (h, w, 3), xyz_level (h, w, 3) NaN where nothing is, confidence in [0, 1]."""
+
+    view: View
+    rgb: Image
+    xyz: Array32
+    confidence: Array32
+
+
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """What a dense matcher is given: rgb (h, w, 3), mask of pixels that mean something, and heights where known.
+
+    `height` is in units of a pixel (so that slopes are comparable), NaN where unknown; a matcher may ignore it.
+    """
+
+    rgb: Image
+    mask: Mask
+    height: Array32 | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Warp:
+    """A dense flow both ways. `b_from_a` (ha, wa, 2): the pixel of b for each pixel of a; confidence in [0, 1]."""
+
+    b_from_a: Array32
+    confidence_a: Array32
+    a_from_b: Array32
+    confidence_b: Array32
+
+
+@dataclass(frozen=True, eq=False)
+class Matches2D:
+    """Pairs of pixels (n, 2) with confidence (n,)."""
+
+    px_a: Array
+    px_b: Array
+    confidence: Array
+
+    def __len__(self) -> int:
+        return len(self.px_a)
+
+    def take(self, index: NDArray[np.intp] | Mask) -> Matches2D:
+        """Keep some of the matches."""
+        return Matches2D(self.px_a[index], self.px_b[index], self.confidence[index])
+
+
+@dataclass(frozen=True, eq=False)
+class Matches3D:
+    """Pairs of points (n, 3): in the model's level frame and in ENU metres; with the pixels they came from."""
+
+    xyz_level: Array
+    xyz_enu: Array
+    pixels: Matches2D
+
+    def __len__(self) -> int:
+        return len(self.xyz_level)
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Orthophoto and DSM resampled to one north-up ENU grid.
+
+    `rgb` (h, w, 3) uint8 and `height` (h, w) float32, ENU up in metres, NaN where unknown; `mask` is where the
+    orthophoto has data; `covariance` (3, 3) m^2 is the reference's own absolute accuracy, east-north-up.
+    """
+
+    frame: EnuFrame
+    grid: Grid
+    rgb: Image
+    mask: Mask
+    height: Array32
+    covariance: Array
+    dsm_pixel_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Where a model is on Earth, or why that is not known."""
+
+    registered: bool
+    reason: str
+    enu_from_level: Similarity | None
+    n_matches: int = 0
+    n_inliers: int = 0
+    tilt_deg: float = float("nan")
+    rmse_m: float = float("nan")
+    covariance: Array | None = None  # (7, 7) of scale (log), rotation (rad), translation at the inliers' centroid (m)
+    centroid_enu: Array | None = None
+    inliers: Mask | None = None
+    residuals_m: Array | None = None  # (n, 3) east-north-up of every match
+    diagnostics: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def inlier_ratio(self) -> float:
+        """Share of the matches that the transform explains."""
+        return self.n_inliers / self.n_matches if self.n_matches else 0.0

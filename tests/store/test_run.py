@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import errno
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from skymoor.errors import InputError
+from skymoor.store import Store
+
+VALUE = np.arange(1000)
+
+
+@dataclass(frozen=True)
+class Step:
+    gain: float = 2.0
+
+
+class Counter:
+    """Computations that count how often they ran."""
+
+    def __init__(self) -> None:
+        self.ran: list[str] = []
+
+    def __call__(self, name: str, value: object) -> Callable[[], object]:
+        def compute() -> object:
+            self.ran.append(name)
+            return value
+
+        return compute
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "deep" / "out"
+
+
+@pytest.fixture
+def store(out: Path) -> Iterator[Store]:
+    with Store.open(out) as opened:
+        yield opened
+
+
+def run(out: Path, count: Counter, first: Step, second: Step, notes: list[str] | None = None) -> list[bool]:
+    """Two chained stages and one on its own; which of them came from the cache."""
+    with Store.open(out, note=(notes if notes is not None else []).append) as store:
+        np.testing.assert_array_equal(store.stage("first", count("first", VALUE), options=first), VALUE)
+        store.stage("second", count("second", {"a": 1}), options=second, after=["first"])
+        store.stage("alone", count("alone", None))
+        return [record.cached for record in store.records]
+
+
+def test_second_run_computes_nothing(out: Path) -> None:
+    count = Counter()
+    assert run(out, count, Step(), Step()) == [False, False, False]
+    assert run(out, count, Step(), Step()) == [True, True, True]
+    assert count.ran == ["first", "second", "alone"]
+
+
+def test_changed_option_recomputes_only_downstream(out: Path) -> None:
+    count = Counter()
+    run(out, count, Step(), Step())
+    assert run(out, count, Step(), Step(3.0)) == [True, False, True]
+    assert run(out, count, Step(3.0), Step(3.0)) == [False, False, True]
+
+
+def test_old_results_of_a_stage_are_removed_and_others_kept(out: Path) -> None:
+    with Store.open(out) as store:
+        store.stage("match", lambda: 1, options=1)
+        store.stage("match-air", lambda: 2, options=1)
+    with Store.open(out) as store:
+        store.stage("match", lambda: 3, options=2)
+    names = sorted(file.name.rpartition("-")[0] for file in (out / "stages").iterdir())
+    assert names == ["match", "match-air"]
+
+
+def test_changed_source_recomputes(out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "engine_for_store_test"
+    (package / "inner").mkdir(parents=True)
+    for file in (package / "__init__.py", package / "inner" / "__init__.py", package / "inner" / "work.py"):
+        file.write_text("A = 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    count = Counter()
+    for edit, expected in ((None, 1), (None, 1), ("A = 2\n", 2)):
+        if edit:
+            (package / "inner" / "work.py").write_text(edit)
+        with Store.open(out) as store:
+            store.stage("work", count("work", 0), code=[package.name])
+        assert len(count.ran) == expected
+
+
+def test_costs_survive_resuming(out: Path) -> None:
+    def heavy() -> int:
+        return int(np.ones(40_000_000, np.uint8).sum())
+
+    for _ in range(2):
+        with Store.open(out) as store:
+            store.stage("heavy", heavy)
+            record = store.records[0]
+    assert record.cached
+    assert 0 < record.seconds < 60
+    assert 40 < record.peak_mib < 100_000
+
+
+@pytest.mark.parametrize("damage", ["truncate", "flip", "empty"])
+def test_damaged_cache_is_computed_again_with_a_note(out: Path, damage: str) -> None:
+    count, notes = Counter(), list[str]()
+    run(out, count, Step(), Step())
+    file = next((out / "stages").glob("first-*"))
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1  # within the numbers, where pickle would not notice
+    file.write_bytes({"truncate": content[:-30], "flip": content, "empty": b""}[damage])
+    assert run(out, count, Step(), Step(), notes) == [False, True, True]
+    assert len(notes) == 1
+    assert "first" in notes[0]
+    assert run(out, count, Step(), Step(), notes) == [True, True, True]
+    assert len(notes) == 1
+
+
+def test_failing_stage_leaves_nothing_and_keeps_the_old_result(out: Path) -> None:
+    with Store.open(out) as store:
+        store.stage("work", lambda: 1, options=1)
+
+    def crash() -> int:
+        raise RuntimeError("crash")
+
+    with Store.open(out) as store, pytest.raises(RuntimeError):
+        store.stage("work", crash, options=2)
+    with Store.open(out) as store, pytest.raises((TypeError, AttributeError)):
+        store.stage("work", lambda: lambda: None, options=3)  # a result that cannot be pickled
+    assert [file.name for file in out.rglob("*.tmp")] == []
+    with Store.open(out) as store:
+        assert store.stage("work", crash, options=1) == 1
+
+
+def test_stage_names_are_used_once_and_plain(store: Store) -> None:
+    store.stage("a", lambda: 1)
+    for name in ("a", "A b", "../a", ""):
+        with pytest.raises(ValueError, match="stage name"):
+            store.stage(name, lambda: 1)
+    with pytest.raises(KeyError):
+        store.stage("b", lambda: 1, after=["never"])
+
+
+def _write_and_die(out: str) -> None:
+    def fill(folder: Path) -> None:
+        (folder / "half").write_text("x")
+        os._exit(9)
+
+    Store.open(Path(out)).write_folder("colmap/air_0", fill)
+
+
+def test_killed_in_the_middle_leaves_the_old_product_and_no_rubbish(out: Path) -> None:
+    with Store.open(out) as store:
+        store.write_folder("colmap/air_0", lambda folder: (folder / "whole").write_text("old") and None)
+    process = multiprocessing.get_context("spawn").Process(target=_write_and_die, args=(str(out),))
+    process.start()
+    process.join()
+    assert process.exitcode == 9
+    assert len(list((out / "colmap").glob(".skymoor-*"))) == 1
+    with Store.open(out):  # the lock died with the process
+        pass
+    assert [path.name for path in (out / "colmap").iterdir()] == ["air_0"]
+    assert [path.name for path in (out / "colmap/air_0").iterdir()] == ["whole"]
+
+
+def test_full_disk_leaves_the_old_file(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    store.write_text("a.txt", "old")
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InputError, match=r"a\.txt: cannot be written: No space left"):
+        store.write_text("a.txt", "new")
+    assert store.path("a.txt").read_text() == "old"
+    assert not list(store.root.rglob("*.tmp"))
+
+
+def test_folder_is_replaced_as_a_whole(store: Store) -> None:
+    for name in ("one", "two"):
+        store.write_folder("colmap/air_0", lambda folder, name=name: (folder / name).write_text("") and None)
+    assert [path.name for path in store.path("colmap", "air_0").iterdir()] == ["two"]
+    assert [path.name for path in store.path("colmap").iterdir()] == ["air_0"]
+    store.remove("colmap")
+    store.remove("colmap")
+    assert not store.path("colmap").exists()
+
+
+def test_one_run_at_a_time(out: Path) -> None:
+    with Store.open(out), pytest.raises(InputError, match="another run"):
+        Store.open(out)
+    Store.open(out).close()
+
+
+def test_out_must_be_a_folder_that_can_be_made(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(InputError, match="is a file"):
+        Store.open(file)
+    with pytest.raises(InputError, match="cannot be written"):
+        Store.open(file / "below")
+
+
+def test_products(store: Store) -> None:
+    value = {"nan": float("nan"), "n": np.int64(3), "x": np.array([1.5, np.inf]), "step": Step(), "path": Path("a/b")}
+    written = json.loads(store.write_json("summary.json", value).read_text())
+    assert written == {"nan": None, "n": 3, "x": [1.5, None], "step": {"gain": 2.0}, "path": "a/b"}
+    rows = [{"image": "a, b.jpg", "x": 1 / 3}, {"image": "c", "x": None}]
+    table = store.write_csv("t.csv", ("image", "x"), rows).read_text()
+    assert table == f'image,x\n"a, b.jpg",{1 / 3!r}\nc,\n'
+    rgb = np.arange(60, dtype=np.uint8).reshape(4, 5, 3)
+    with Image.open(store.write_png("renders/a.png", rgb)) as image:
+        np.testing.assert_array_equal(np.asarray(image), rgb)
+    with np.load(store.write_npz("matches/a.npz", px=np.eye(2))) as arrays:
+        np.testing.assert_array_equal(arrays["px"], np.eye(2))
+    mode = store.write_text("a.txt", "hé").stat().st_mode & 0o777
+    assert mode == 0o666 & ~_umask()
+    assert not list(store.root.rglob("*.tmp"))
+
+
+def test_products_stay_inside(store: Store) -> None:
+    with pytest.raises(ValueError, match="outside"):
+        store.write_text("../a.txt", "")
+    with pytest.raises(TypeError, match="JSON"):
+        store.write_json("a.json", {"f": _umask})
+    with pytest.raises(TypeError, match="objects"):
+        store.write_npz("a.npz", a=np.array([None]))
+    store.write_text("plain", "")
+    with pytest.raises(InputError, match="cannot be written"):
+        store.write_text("plain/below", "")
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
