@@ -81,7 +81,7 @@ def read_reference(
     _require_data(maps, mask, np.isfinite(height))
     sides = maps[1].pixel_sides_m(site.frame)
     dsm_pixel_m = float(np.sqrt(abs(np.linalg.det(sides))))
-    return Reference(site.frame, grid, rgb, mask, height, covariance, dsm_pixel_m)
+    return Reference(site.frame, grid, rgb, mask, height, covariance, dsm_pixel_m, maps[0].crs.to_wkt())
 
 
 def _agreed_datum(dsm: MapRaster, stated: str | None) -> str:

@@ -78,6 +78,12 @@ class Calibration:
     focal_low_ratio: float
     focal_high_ratio: float
     uncertain: bool
+    relief_ratio: float | None = None  # by which the reference's relief has changed the focal length
+
+    @property
+    def focal_sigma(self) -> float:
+        """Honest relative standard deviation of the focal length: half of the interval, or what is left of it."""
+        return max((self.focal_high_ratio - self.focal_low_ratio) / 2, self.focal_sigma_ratio, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,6 +225,7 @@ class Reference:
     height: Array32
     covariance: Array
     dsm_pixel_m: float
+    crs: str = "EPSG:4326"  # of the orthophoto, for products
 
 
 @dataclass(frozen=True, eq=False)

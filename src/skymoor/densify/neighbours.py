@@ -22,7 +22,8 @@ def stereo_partners(
     ones = np.ones(len(component.obs_point), np.float32)
     sees = csr_matrix((ones, (component.obs_camera, component.obs_point)), shape=(n, len(component.points)))
     shared = (sees @ sees.T).toarray()
-    middles = np.array([component.points[component.obs_point[component.obs_camera == i]].mean(axis=0) for i in range(n)])
+    # A camera that sees no point (its middle is then the origin) shares nothing and gets no partner.
+    middles = (sees @ component.points) / np.maximum(shared.diagonal(), 1)[:, None]
     partners: list[list[int]] = []
     for i in range(n):
         to_i = _unit(centres[i] - middles[i])

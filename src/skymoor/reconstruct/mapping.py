@@ -25,7 +25,7 @@ class ReconstructOptions:
     Attributes:
         matcher: the engine that fills the database with verified matches.
         min_cameras: smaller components are dropped.
-        refine_principal_point: at the end, for a component whose photos share one camera.
+        refine_principal_point: at the end, where the photos share one camera and fix its focal length.
     """
 
     matcher: PairMatcher = field(default_factory=SiftMatcher)
@@ -92,12 +92,13 @@ def _finish(
     model: pycolmap.Reconstruction, names: dict[str, str], photos: Photos, options: ReconstructOptions
 ) -> Component:
     """Last adjustment, calibration report and colours."""
-    shared = len({model.image(i).camera_id for i in model.reg_image_ids()}) == 1
     adjust(model)
-    if shared and options.refine_principal_point:
+    calibration = calibrate(model)
+    # A principal point is one more thing that a weak block cannot tell: there it would trade against tilt and height.
+    if calibration.shared_intrinsics and not calibration.uncertain and options.refine_principal_point:
         adjust(model, principal_point=True)
-    component = component_from_colmap(model, names)
-    component = replace(component, calibration=calibrate(model))
+        calibration = calibrate(model)
+    component = replace(component_from_colmap(model, names), calibration=calibration)
     colours = np.clip(mean_colours(component, photos.read) + 0.5, 0, 255).astype(np.uint8)
     return replace(component, colours=colours)
 

@@ -42,6 +42,8 @@ def fuse_mesh(
     Raises:
         DegenerateGeometry: the depth maps hold no surface.
     """
+    if not any(use.any() for use in usable):
+        raise DegenerateGeometry("no depth map holds a depth that is certain enough")
     o3d = open3d()
     core = o3d.core
     device = core.Device("CPU:0")
@@ -52,13 +54,17 @@ def fuse_mesh(
         depth = np.where(use, depth_map.depth, 0).astype(np.float32)
         if depth.any():
             image = o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(depth[..., None])))
-            matrix = core.Tensor(depth_map.camera.intrinsics.matrix_cv())
+            # Open3D takes the pixel by cutting off the fraction, so the first one's centre is at 0.5 as it is for us.
+            matrix = core.Tensor(depth_map.camera.intrinsics.matrix())
             pose = core.Tensor(depth_map.camera.cam_from_world.matrix())
             far = float(depth.max()) * 1.01
             blocks = volume.compute_unique_block_coordinates(image, matrix, pose, 1.0, far, trunc_voxels)
             volume.integrate(blocks, image, matrix, pose, 1.0, far, trunc_voxels)
         progress(done + 1, len(maps))
-    mesh = volume.extract_triangle_mesh(weight_threshold=min_weight)
+    try:
+        mesh = volume.extract_triangle_mesh(weight_threshold=min_weight)
+    except RuntimeError as error:  # how Open3D says that the mesh is empty
+        raise DegenerateGeometry("the depth maps hold no common surface") from error
     if "positions" not in mesh.vertex or "indices" not in mesh.triangle or not len(mesh.triangle.indices):
         raise DegenerateGeometry("the depth maps hold no common surface")
     return mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy().astype(np.int32)

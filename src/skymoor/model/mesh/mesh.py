@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from skymoor.errors import DegenerateGeometry
 from skymoor.model.mesh._open3d import RayCaster, fuse_mesh
 from skymoor.model.mesh.blend import Blend, BlendOptions
 from skymoor.model.protocol import SceneBuilder, SceneModel
@@ -41,6 +42,8 @@ class MeshBuilder:
         self, component: Component, depths: Sequence[DepthMap], *, progress: Progress = no_progress
     ) -> MeshModel:
         """Fuse; see `SceneBuilder`."""
+        if not depths:
+            raise DegenerateGeometry("no photo has a depth map")
         footprints = [np.median(m.depth[np.isfinite(m.depth)]) / m.camera.intrinsics.fx for m in depths]
         pixel = float(np.median(footprints))
         across = np.ptp(np.percentile(component.points[:, :2], [1, 99], axis=0), axis=0).max()

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the commands do, between the parsed command line and the pipeline."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import skymoor.evaluate
+from skymoor.config import Site, load_site, parse_option, site_from_arguments, with_options
+from skymoor.errors import InputError
+from skymoor.geo.frame import EnuFrame
+from skymoor.pipeline import Options, register_airborne
+from skymoor.products import NOT_REGISTERED, write_products
+from skymoor.reference import read_reference
+from skymoor.screen import Screen, evaluation_table, summary_table
+from skymoor.store import Store, has_metadata, open_photos, photos_fingerprint, read_cameras_csv, read_truth_csv
+
+if TYPE_CHECKING:
+    from skymoor.cli import Evaluate, Run
+
+
+def run(command: Run) -> bool:
+    """`skymoor run`; returns whether everything was registered."""
+    site = _site(command)
+    options = with_options(Options(), {**site.options, **dict(map(parse_option, command.set))})
+    if site.airborne is None:
+        raise InputError(f"{command.site}: it names no [airborne] images, and this version places airborne photos only")
+    with Screen(plain=command.quiet) as screen, Store.open(command.out, note=screen.note) as store:
+        photos = store.photos("photos", site.airborne, site.root, screen.track("photos"))
+        _tell_metadata(site.airborne, screen)
+        files = site.reference
+        reference = store.stage(
+            "reference",
+            lambda: read_reference(files.ortho, files.dsm, files.vertical_datum, files.covariance),
+            options=[
+                *((path, path.stat().st_size, path.stat().st_mtime_ns) for path in (files.ortho, files.dsm)),
+                files.vertical_datum,
+                files.covariance,
+            ],
+            code=["skymoor.reference", "skymoor.geo"],
+        )
+        placed = register_airborne(photos, reference, options, store, seed=command.seed, track=screen.track)
+        others = {f"ground{k}": _names(folder, site.root) for k, folder in enumerate(site.ground)}
+        summary = write_products(
+            "airborne", placed, photos.names, others, site, reference, options, command.seed, store
+        )
+        screen.show(summary_table(summary))
+        screen.note(f"results in {command.out}")
+    return all(item["status"] != NOT_REGISTERED for item in summary["sets"])
+
+
+def evaluate(command: Evaluate) -> None:
+    """`skymoor evaluate`."""
+    summary = _read_summary(command.run / "summary.json")
+    origin = summary["enu_origin"]
+    frame = EnuFrame(origin["lat"], origin["lon"], origin["height"])
+    centres = {
+        (item["set"], component["component"]): np.array(component["scene_centre_enu"])
+        for item in summary["sets"]
+        for component in item["components"]
+        if "scene_centre_enu" in component
+    }
+    covariance = np.array(summary["reference"]["covariance_m2"])
+    estimates = read_cameras_csv(command.run / "cameras.csv")
+    truths = read_truth_csv(command.truth)
+    rows = skymoor.evaluate.evaluate(estimates, truths, frame, covariance, centres)
+    with Screen(plain=True) as screen, Store.open(command.run) as store:
+        store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})
+        screen.show(evaluation_table(rows))
+
+
+def _site(command: Run) -> Site:
+    if command.site is not None:
+        clash = [name for name in ("airborne", "ortho", "dsm") if getattr(command, name) is not None]
+        if clash or command.ground:
+            raise InputError(f"{command.site} already names the data: leave out --{(clash or ['ground'])[0]}")
+        return load_site(
+            command.site, vertical_datum=command.vertical_datum, ce90=command.ce90, le90=command.le90
+        )
+    if command.ortho is None or command.dsm is None:
+        raise InputError("name a site.toml, or give --airborne, --ortho and --dsm")
+    return site_from_arguments(
+        command.airborne,
+        command.ground,
+        command.ortho,
+        command.dsm,
+        command.vertical_datum,
+        command.ce90,
+        command.le90,
+    )
+
+
+def _tell_metadata(folder: Path, screen: Screen) -> None:
+    count = has_metadata(folder)
+    if count:
+        screen.note(f"{count} photos carry EXIF or XMP metadata: it is ignored, nothing but pixels is used")
+
+
+def _names(folder: Path, root: Path) -> tuple[str, ...]:
+    photos_fingerprint(folder)  # refuses a folder that holds no photos
+    return open_photos(folder, root).names
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text())  # type: ignore[no-any-return]
+    except (OSError, json.JSONDecodeError) as error:
+        raise InputError(f"{path}: no summary of a finished run ({error}); run skymoor run first") from error

@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two pictures of one place, from different worlds, to pairs of pixels."""
+
+from skymoor.match.align import match_placed
+from skymoor.match.cyclic import CyclicOptions, cyclic_matches
+from skymoor.match.protocol import DenseMatcher
+from skymoor.match.search import Placement, SearchOptions, search_placements
+from skymoor.match.structural import StructuralMatcher
+
+__all__ = [
+    "CyclicOptions",
+    "DenseMatcher",
+    "Placement",
+    "SearchOptions",
+    "StructuralMatcher",
+    "cyclic_matches",
+    "match_placed",
+    "search_placements",
+]

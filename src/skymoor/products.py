@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run leaves behind: summary, cameras, models, rasters and pictures, all by `Store`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from skymoor import __version__
+from skymoor.colmap import colmap_from_component
+from skymoor.config import Site
+from skymoor.errors import DegenerateGeometry
+from skymoor.export import (
+    CAMERA_COLUMNS,
+    cameras_geojson,
+    cameras_table,
+    georeference,
+    geotiffs,
+    placed_cameras,
+    pointcloud_las,
+    unplaced_cameras,
+)
+from skymoor.export.cameras import CameraRow
+from skymoor.geo.accuracy import ce90_m, le90_m
+from skymoor.geometry.similarity import Similarity
+from skymoor.pipeline import MatchOptions, Options, Placed, lay_on_reference
+from skymoor.register import camera_covariances
+from skymoor.report import confidence_picture, height_picture, match_picture, overlay_picture, residual_picture
+from skymoor.store import Store
+from skymoor.types import Array, Reference
+
+REGISTERED, NOT_REGISTERED = "REGISTERED", "NOT_REGISTERED"
+
+
+def accuracies(placed: Placed, reference: Reference) -> tuple[Array, Array]:
+    """Predicted CE90 and LE90 in metres, each (n,), of a registered component's cameras."""
+    covariances = camera_covariances(
+        placed.registration, placed.cameras_enu, reference, placed.component.calibration
+    )
+    return np.array([ce90_m(c) for c in covariances]), np.array([le90_m(c) for c in covariances])
+
+
+def write_products(
+    set_name: str,
+    placed: Sequence[Placed],
+    images: Sequence[str],
+    other_images: dict[str, Sequence[str]],
+    site: Site,
+    reference: Reference,
+    options: Options,
+    seed: int,
+    store: Store,
+) -> dict[str, Any]:
+    """Write all products of a run; returns the summary.
+
+    Args:
+        set_name: of the set that was worked on, with its `images`.
+        other_images: image names of sets that this version does not place, by set.
+    """
+    rows = camera_rows(set_name, placed, images, reference)
+    for name, names in other_images.items():
+        rows += unplaced_cameras(name, None, names)
+    store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
+    store.write_json("cameras.geojson", cameras_geojson(rows))
+    for k, item in enumerate(placed):
+        _write_component(f"{set_name}_{k}", item, reference, options.match, store)
+    _write_rasters(placed, reference, options.match, store)
+    sets = [_set_summary(set_name, placed, images, reference)]
+    sets += [_unplaced_summary(name, names) for name, names in other_images.items()]
+    summary = {
+        "skymoor": __version__,
+        "site": site.name,
+        "seed": seed,
+        "options": options,
+        "reference": {
+            "ortho": site.reference.ortho,
+            "dsm": site.reference.dsm,
+            "vertical_datum": site.reference.vertical_datum,
+            "covariance_m2": reference.covariance,
+            "pixel_m": reference.grid.pixel_m,
+        },
+        "enu_origin": georeference(reference.frame, Similarity.identity())["enu_origin"],
+        "sets": sets,
+        "stages": [asdict(record) for record in store.records],
+    }
+    store.write_json("summary.json", summary)
+    return summary
+
+
+def camera_rows(
+    set_name: str, placed: Sequence[Placed], images: Sequence[str], reference: Reference
+) -> list[CameraRow]:
+    """Rows of cameras.csv. Components overlap: a photo counts in the first, largest one that holds it."""
+    rows: list[CameraRow] = []
+    seen: set[str] = set()
+    for k, item in enumerate(placed):
+        if item.registration.registered:
+            mine = placed_cameras(set_name, k, item.cameras_enu, reference.frame, *accuracies(item, reference))
+        else:
+            mine = unplaced_cameras(set_name, k, [camera.image for camera in item.component.cameras])
+        rows += [row for row in mine if row.image not in seen]
+        seen.update(row.image for row in mine)
+    return rows + unplaced_cameras(set_name, None, [image for image in images if image not in seen])
+
+
+def _set_summary(
+    set_name: str, placed: Sequence[Placed], images: Sequence[str], reference: Reference
+) -> dict[str, Any]:
+    taken = {camera.image for item in placed for camera in item.component.cameras}
+    good = bool(placed) and all(item.registration.registered for item in placed)
+    return {
+        "set": set_name,
+        "status": REGISTERED if good else NOT_REGISTERED,
+        "reason": "" if placed else "no two photos have enough in common",
+        "n_images": len(images),
+        "n_images_reconstructed": len(taken.intersection(images)),
+        "components": [_component_summary(k, item, reference) for k, item in enumerate(placed)],
+    }
+
+
+def _unplaced_summary(set_name: str, images: Sequence[str]) -> dict[str, Any]:
+    return {
+        "set": set_name,
+        "status": NOT_REGISTERED,
+        "reason": "this version places airborne photos only",
+        "n_images": len(images),
+        "n_images_reconstructed": 0,
+        "components": [],
+    }
+
+
+def _component_summary(index: int, item: Placed, reference: Reference) -> dict[str, Any]:
+    found = item.registration
+    calibration = item.component.calibration
+    summary: dict[str, Any] = {
+        "component": index,
+        "status": REGISTERED if found.registered else NOT_REGISTERED,
+        "reason": found.reason,
+        "n_cameras": len(item.component.cameras),
+        "n_matches": found.n_matches,
+        "n_inliers": found.n_inliers,
+        "inlier_ratio": found.inlier_ratio,
+        "tilt_deg": found.tilt_deg,
+        "rmse_m": found.rmse_m,
+        "diagnostics": found.diagnostics,
+        "reprojection_px": item.component.reprojection_px,
+        "calibration": calibration,
+        "calibration_note": calibration_note(item),
+        "gravity": item.gravity,
+        "relief": item.relief,
+    }
+    if found.registered and found.enu_from_level is not None:
+        ce90, le90 = accuracies(item, reference)
+        enu_from_sfm = found.enu_from_level @ item.level_from_sfm
+        summary |= georeference(reference.frame, enu_from_sfm)
+        summary |= {"predicted_ce90_m": float(ce90.mean()), "predicted_le90_m": float(le90.mean())}
+        summary["scene_centre_enu"] = np.median(found.enu_from_level.apply(item.component.points), axis=0)
+    return summary
+
+
+def calibration_note(item: Placed) -> str:
+    """What a person must know about the focal length, empty where it is well known."""
+    calibration = item.component.calibration
+    if calibration is None or not calibration.uncertain:
+        return ""
+    half = 100 * calibration.focal_sigma
+    note = f"The photos do not tell focal length from flying height (+-{half:.0f} %): heights of cameras are as unsure."
+    if calibration.relief_ratio is not None:
+        change = 100 * (calibration.relief_ratio - 1)
+        note = (
+            f"The photos did not tell focal length from flying height; the reference's relief changed the focal length "
+            f"by {change:+.1f} % and leaves +-{half:.0f} %."
+        )
+    return note
+
+
+def _write_component(name: str, item: Placed, reference: Reference, options: MatchOptions, store: Store) -> None:
+    _write_pictures(name, item, reference, options, store)
+    found = item.registration
+    if found.registered and found.enu_from_level is not None:
+        enu = item.component.moved(found.enu_from_level)
+        model = colmap_from_component(enu)
+        store.write_folder(f"colmap/{name}", lambda folder: model.write(str(folder)))
+        transform = found.enu_from_level @ item.level_from_sfm
+        store.write_json(f"colmap/{name}/georeference.json", georeference(reference.frame, transform))
+    else:
+        store.remove(f"colmap/{name}")
+
+
+def _write_pictures(name: str, item: Placed, reference: Reference, options: MatchOptions, store: Store) -> None:
+    render, found = item.render, item.registration
+    if render is None:
+        return
+    store.write_png(f"renders/{name}_nadir_rgb.png", render.rgb)
+    store.write_png(f"renders/{name}_nadir_height.png", height_picture(render.xyz[..., 2]))
+    store.write_png(f"renders/{name}_nadir_confidence.png", confidence_picture(render.confidence))
+    store.write_npz(f"renders/{name}_nadir.npz", rgb=render.rgb, xyz=render.xyz, confidence=render.confidence)
+    if item.matches is None:
+        return
+    pixels = item.matches.pixels
+    picture = match_picture(render.rgb, reference.rgb, pixels, found.inliers)
+    store.write_png(f"matches/{name}_matches.png", picture)
+    inliers = np.zeros(len(pixels), bool) if found.inliers is None else found.inliers
+    store.write_npz(
+        f"matches/{name}.npz",
+        px_render=pixels.px_a,
+        px_reference=pixels.px_b,
+        confidence=pixels.confidence,
+        xyz_level=item.matches.xyz_level,
+        xyz_enu=item.matches.xyz_enu,
+        inliers=inliers,
+    )
+    if found.enu_from_level is None or found.residuals_m is None:
+        return
+    pixel_m = reference.grid.pixel_m
+    laid, _ = lay_on_reference(render, found, reference, options)
+    store.write_png(f"matches/{name}_overlay.png", overlay_picture(laid, reference.rgb, pixel_m=pixel_m))
+    residuals = residual_picture(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
+    store.write_png(f"matches/{name}_residuals.png", residuals)
+
+
+def _write_rasters(placed: Sequence[Placed], reference: Reference, options: MatchOptions, store: Store) -> None:
+    """pointcloud.laz, ortho.tif and dsm.tif of all registered components; smaller ones fill what larger leave."""
+    rgb = np.zeros((*reference.grid.shape, 3), np.uint8)
+    height = np.full(reference.grid.shape, np.nan, np.float32)
+    clouds, colours = [], []
+    for item in _registered(placed):
+        assert item.render is not None and item.registration.enu_from_level is not None
+        believed = item.render.confidence >= options.min_height_confidence
+        clouds.append(item.registration.enu_from_level.apply(item.render.xyz[believed].astype(np.float64)))
+        colours.append(item.render.rgb[believed])
+        laid, up = lay_on_reference(item.render, item.registration, reference, options)
+        fill = np.isnan(height) & np.isfinite(up)
+        rgb[fill], height[fill] = laid.rgb[fill], up[fill]
+    names = ("pointcloud.laz", "ortho.tif", "dsm.tif")
+    try:
+        if not clouds:
+            raise DegenerateGeometry("nothing is registered")
+        cloud = pointcloud_las(np.concatenate(clouds), np.concatenate(colours), reference.frame, reference.crs)
+        contents = (cloud, *geotiffs(rgb, height, reference.grid, reference.frame, reference.crs))
+    except DegenerateGeometry:
+        for name in names:
+            store.remove(name)
+        return
+    for name, content in zip(names, contents, strict=True):
+        store.write_bytes(name, content)
+
+
+def _registered(placed: Sequence[Placed]) -> Iterable[Placed]:
+    return (item for item in placed if item.registration.registered and item.render is not None)
+

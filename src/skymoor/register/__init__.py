@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a model is on Earth, how well that is known, and whether to believe it."""
+
+from skymoor.register.airborne import RegisterOptions, camera_covariances, register
+from skymoor.register.refusal import judge
+from skymoor.register.relief import Relief, ReliefOptions, compare_relief, focal_correction
+
+__all__ = [
+    "RegisterOptions",
+    "Relief",
+    "ReliefOptions",
+    "camera_covariances",
+    "compare_relief",
+    "focal_correction",
+    "judge",
+    "register",
+]

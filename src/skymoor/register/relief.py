@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the reference's relief says about the model's heights.
+
+A block of photos from one height cannot tell focal length from flying height: the whole model may be too tall or too
+flat by the same factor. The reference knows how tall things are. Heights of both are blurred alike, so that the
+reference's own smoothness does not pass for flatness, and compared over the common area up to a plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from skymoor.types import Array32, Calibration
+
+
+@dataclass(frozen=True)
+class ReliefOptions:
+    """When relief decides.
+
+    Attributes:
+        blur_m: Gaussian sigma by which both height maps are blurred.
+        systematic_ratio: the estimate is never believed to be better than this (blurred edges, trees, growth).
+        significance: standard deviations by which the correction must differ from none.
+    """
+
+    blur_m: float = 2.0
+    systematic_ratio: float = 0.02
+    significance: float = 1.5
+
+
+@dataclass(frozen=True)
+class Relief:
+    """Reference heights over model heights, and the standard deviation of this ratio; the ratio is 1 if all is well."""
+
+    ratio: float
+    sigma: float
+
+
+def compare_relief(
+    model_height: Array32, reference_height: Array32, pixel_m: float, options: ReliefOptions | None = None
+) -> Relief | None:
+    """Compare two height maps (h, w) in metres on one grid, NaN where unknown; None where they share too little.
+
+    The model's must already have the registration's scale. Robust linear regression (Tukey) with a plane as nuisance;
+    the number of independent places follows from the blur.
+    """
+    options = options or ReliefOptions()
+    known = np.isfinite(model_height) & np.isfinite(reference_height)
+    sigma_px = options.blur_m / pixel_m
+    weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), sigma_px)
+    use = known & (weight > 0.7)
+    places = use.sum() * pixel_m**2 / (4 * np.pi * (options.blur_m**2 + 1))
+    if places < 20:
+        return None
+    rows, columns = np.nonzero(use)
+    step = max(1, len(rows) // 20000)
+    rows, columns = rows[::step], columns[::step]
+    model, reference = (
+        cv2.GaussianBlur(np.where(known, x, 0).astype(np.float32), (0, 0), sigma_px)[rows, columns]
+        / weight[rows, columns]
+        for x in (model_height, reference_height)
+    )
+    scale = max(known.shape)
+    design = np.column_stack([model, columns / scale, rows / scale, np.ones(len(rows))]).astype(np.float64)
+    weights = np.ones(len(rows))
+    for _ in range(20):
+        root = np.sqrt(weights)[:, None]
+        solution, *_ = np.linalg.lstsq(design * root, reference * root[:, 0], rcond=None)
+        residual = reference - design @ solution
+        spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
+        weights = np.clip(1 - (residual / (4.685 * spread)) ** 2, 0, None) ** 2
+    normal = (design.T * weights) @ design
+    if np.linalg.cond(normal) > 1e10:
+        return None
+    variance = float(np.linalg.inv(normal)[0, 0]) * spread**2 * max(1.0, len(rows) / places)
+    return Relief(float(solution[0]), float(np.hypot(np.sqrt(variance), options.systematic_ratio)))
+
+
+def focal_correction(
+    relief: Relief | None, calibration: Calibration | None, options: ReliefOptions | None = None
+) -> tuple[float, float] | None:
+    """By what to multiply the focal length, and its relative standard deviation then; None to leave it.
+
+    The photos' own interval and the relief are weighed as two measurements of one number, in logarithms.
+    """
+    options = options or ReliefOptions()
+    if relief is None or calibration is None or not calibration.uncertain or relief.ratio <= 0.3:
+        return None
+    own = max(calibration.focal_sigma, 1e-3)
+    log_sigma = relief.sigma / relief.ratio
+    share = own**2 / (own**2 + log_sigma**2)
+    ratio = float(np.exp(share * np.log(relief.ratio)))
+    sigma = float(np.sqrt(share) * log_sigma)
+    if abs(np.log(ratio)) < options.significance * sigma:
+        return None
+    return ratio, sigma

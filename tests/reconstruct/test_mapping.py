@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from flight import Flight
+from scene import make_scene
+from skymoor.geometry.similarity import Similarity, umeyama
+from skymoor.reconstruct import ReconstructOptions, SiftMatcher, reconstruct
+from skymoor.reconstruct.mapping import _worth_keeping
+from skymoor.types import Camera, Component, Image, Photos
+
+Array = NDArray[np.float64]
+
+
+def photos_of(images: dict[str, Image]) -> Photos:
+    sizes = tuple((image.shape[1], image.shape[0]) for image in images.values())
+    return Photos(tuple(images), sizes, images.__getitem__)
+
+
+def true_cameras(component: Component, flight: Flight) -> list[Camera]:
+    by_name = {camera.image: camera for camera in flight.cameras}
+    return [by_name[camera.image.rpartition("/")[2]] for camera in component.cameras]
+
+
+def enu_from_sfm(component: Component, flight: Flight) -> Similarity:
+    return umeyama(component.centres, np.array([camera.centre for camera in true_cameras(component, flight)]))
+
+
+def camera_errors_m(component: Component, flight: Flight) -> Array:
+    truth = np.array([camera.centre for camera in true_cameras(component, flight)])
+    return np.linalg.norm(enu_from_sfm(component, flight).apply(component.centres) - truth, axis=1)
+
+
+class TestFlight:
+    @pytest.fixture(scope="class")
+    def component(self, flight: Flight) -> Component:
+        steps: list[tuple[int, int]] = []
+        components = reconstruct(flight.photos, seed=1, progress=lambda done, of: steps.append((done, of)))
+        assert len(components) == 1
+        assert all(0 <= done <= of for done, of in steps) and steps[-1][0] == steps[-1][1]
+        return components[0]
+
+    def test_every_photo_is_in_the_right_place(self, component: Component, flight: Flight) -> None:
+        assert sorted(c.image for c in component.cameras) == sorted(flight.photos.names)
+        error = camera_errors_m(component, flight)
+        assert error.mean() < 0.002 * flight.standoff_m
+        assert error.mean() > 1e-5 * flight.standoff_m
+        similarity = enu_from_sfm(component, flight)
+        for camera, truth in zip(component.cameras, true_cameras(component, flight), strict=True):
+            turn = camera.moved(similarity).cam_from_world.rotation @ truth.cam_from_world.rotation.T
+            assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 0.2
+
+    def test_the_lens_is_found_and_certain(self, component: Component, flight: Flight) -> None:
+        found, true = component.cameras[0].intrinsics, flight.cameras[0].intrinsics
+        assert found.fx == pytest.approx(true.fx, rel=0.005)
+        assert found.cx == pytest.approx(true.cx, abs=0.7) and found.cy == pytest.approx(true.cy, abs=0.7)
+        assert found.distortion[0] == pytest.approx(true.distortion[0], abs=0.01)
+        assert (found.width, found.height) == (400, 300)
+        assert component.calibration is not None
+        assert component.calibration.shared_intrinsics and not component.calibration.uncertain
+        assert component.calibration.focal_px == pytest.approx(found.fx)
+
+    def test_points_lie_on_the_surface_in_its_colours(self, component: Component, flight: Flight) -> None:
+        assert len(component.points) > 1500
+        xyz = enu_from_sfm(component, flight).apply(component.points)
+        centre = true_cameras(component, flight)[0].centre
+        t, _, _ = flight.scene.cast(centre, xyz - centre)
+        mine = np.unique(component.obs_point[component.obs_camera == 0])
+        assert np.median(np.abs(t[mine] - 1)) < 0.002
+        grey = component.colours.astype(float).mean(axis=1)
+        seen = np.array(
+            [
+                flight.images[component.cameras[c].image][int(v), int(u)].mean()
+                for c, (u, v) in zip(component.obs_camera, component.obs_px, strict=True)
+            ]
+        )
+        assert np.corrcoef(grey[component.obs_point], seen)[0, 1] > 0.8
+
+    def test_observations_agree_with_the_cameras(self, component: Component) -> None:
+        assert 0.01 < component.reprojection_px < 0.5
+        for k, camera in enumerate(component.cameras):
+            mine = component.obs_camera == k
+            xyz = camera.cam_from_world.apply(component.points[component.obs_point[mine]])
+            gap = np.linalg.norm(camera.intrinsics.px_from_cam(xyz) - component.obs_px[mine], axis=1)
+            assert np.median(gap) < 0.5
+
+
+def test_two_places_are_two_components(flight: Flight) -> None:
+    elsewhere = flight.with_scene(make_scene(3), [0, 1, 2, 12])
+    names = ("photo_00.jpg", "photo_01.jpg", "photo_02.jpg", "photo_16.jpg", "photo_17.jpg")
+    images = {f"b/{name}": image for name, image in elsewhere.images.items()}
+    images |= {f"a/{name}": flight.images[name] for name in names}
+    matcher = SiftMatcher(max_features=2000)
+    first, second = reconstruct(photos_of(images), ReconstructOptions(matcher), seed=2)
+    assert {c.image for c in first.cameras} == {f"a/{name}" for name in names}
+    assert {c.image for c in second.cameras} == {f"b/{name}" for name in elsewhere.images}
+    for component in (first, second):
+        assert camera_errors_m(component, flight).mean() < 0.01 * flight.standoff_m
+
+
+def test_the_same_seed_gives_the_same_reconstruction(flight: Flight) -> None:
+    some = photos_of({name: flight.images[name] for name in list(flight.images)[12:]})
+    options = ReconstructOptions(SiftMatcher(max_features=1500))
+    (a,), (b,) = (reconstruct(some, options, seed=5) for _ in range(2))
+    assert [c.image for c in a.cameras] == [c.image for c in b.cameras]
+    assert len(a.points) == len(b.points)
+    # Threads add in any order, and the frame itself is free: what remains is the shape.
+    back = umeyama(b.centres, a.centres)
+    size = np.linalg.norm(a.centres - a.centres.mean(axis=0), axis=1).mean()
+    assert np.abs(back.apply(b.centres) - a.centres).max() < 1e-3 * size
+
+
+def test_photos_of_nothing_in_common_give_no_component() -> None:
+    rng = np.random.default_rng(0)
+    noise = {f"{k}.jpg": rng.integers(0, 255, (120, 160, 3)).astype(np.uint8) for k in range(3)}
+    assert reconstruct(photos_of(noise), seed=0) == []
+
+
+@dataclass(frozen=True)
+class Model:
+    """As much of a COLMAP model as the rule looks at."""
+
+    images: frozenset[int]
+
+    def num_reg_images(self) -> int:
+        return len(self.images)
+
+    def reg_image_ids(self) -> list[int]:
+        return sorted(self.images)
+
+
+def test_models_whose_photos_are_all_in_larger_ones_are_dropped() -> None:
+    sets = [{7, 8, 9}, {1, 2, 3, 4, 5}, {2, 3, 4}, {5, 6, 7, 8}, {4, 5, 6}]
+    kept = _worth_keeping([Model(frozenset(s)) for s in sets])  # type: ignore[misc]
+    # {4, 5, 6} lies in no other alone, but all of its photos are known already.
+    assert [m.reg_image_ids() for m in kept] == [[1, 2, 3, 4, 5], [5, 6, 7, 8], [7, 8, 9]]
+    assert _worth_keeping([]) == []
+
+
+def test_photos_of_two_sizes_are_two_cameras(flight: Flight) -> None:
+    names = list(flight.images)[12:]
+    images = {name: flight.images[name] for name in names}
+    images[names[0]] = images[names[0]][:, :390]
+    (component,) = reconstruct(photos_of(images), ReconstructOptions(SiftMatcher(max_features=1500)), seed=5)
+    widths = {c.image: c.intrinsics.width for c in component.cameras}
+    assert widths[names[0]] == 390 and widths[names[1]] == 400
+    assert component.calibration is not None and not component.calibration.shared_intrinsics
+    assert replace(component.cameras[0], image="") is not component.cameras[0]

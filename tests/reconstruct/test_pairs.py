@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skymoor.reconstruct.pairs import exhaustive_pairs, pairs_from_votes, preemptive_pairs
+
+Array32 = NDArray[np.float32]
+
+
+def unit(rows: NDArray[np.float64]) -> Array32:
+    return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True), dtype=np.float32)
+
+
+def strip(n: int, *, step: int, window: int, noise: float = 0.02) -> list[Array32]:
+    """Photos along a strip: each holds `window` features of a row, the next one begins `step` features later."""
+    rng = np.random.default_rng(0)
+    world = unit(rng.normal(size=(n * step + window, 64)))
+    photos = [world[k * step : k * step + window] + noise * rng.normal(size=(window, 64)) for k in range(n)]
+    return [unit(rng.permutation(photo)) for photo in photos]
+
+
+def test_exhaustive_is_every_pair_once() -> None:
+    assert exhaustive_pairs(4) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+    assert exhaustive_pairs(1) == []
+
+
+def test_votes_keep_the_best_of_either_side() -> None:
+    votes = np.array([[0, 9, 5, 1], [9, 0, 7, 2], [5, 7, 0, 0], [1, 2, 0, 0]], np.int32)
+    # Photo 3 chooses photo 1, though photo 1 has a better one: a pair needs one side only.
+    assert pairs_from_votes(votes, neighbours=1, min_votes=1) == [(0, 1), (1, 2), (1, 3)]
+    assert pairs_from_votes(votes, neighbours=1, min_votes=3) == [(0, 1), (1, 2)]
+    assert pairs_from_votes(votes, neighbours=3, min_votes=1) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3)]
+    assert pairs_from_votes(np.zeros((3, 3), np.int32), neighbours=2, min_votes=1) == []
+
+
+def test_overlapping_photos_find_each_other() -> None:
+    photos = strip(10, step=40, window=100)  # 60 common features with the next photo, 20 with the one after
+    pairs = preemptive_pairs(photos, neighbours=2)
+    assert {(k, k + 1) for k in range(9)} <= set(pairs)
+    assert all(b - a <= 2 for a, b in pairs)
+    assert preemptive_pairs(photos, neighbours=4) == [(a, b) for a in range(10) for b in (a + 1, a + 2) if b < 10]
+
+
+def test_unrelated_photos_make_no_pair() -> None:
+    rng = np.random.default_rng(2)
+    photos = [unit(rng.normal(size=(200, 64))) for _ in range(6)]
+    assert preemptive_pairs(photos, neighbours=5) == []
+
+
+def test_two_sites_stay_apart() -> None:
+    here, there = strip(4, step=30, window=100), strip(8, step=30, window=100)[4:]
+    pairs = preemptive_pairs([*here, *there], neighbours=7)
+    assert {(0, 1), (1, 2), (2, 3), (4, 5), (5, 6), (6, 7)} <= set(pairs)
+    # The eighth photo of the same strip begins 120 features later, where nothing of the first is left.
+    assert (0, 7) not in pairs
+
+
+def test_photos_without_features_are_left_out_and_progress_ends() -> None:
+    photos = strip(4, step=30, window=100)
+    photos[2] = np.zeros((0, 64), np.float32)
+    photos[3] = photos[3][:1]
+    steps: list[tuple[int, int]] = []
+    assert preemptive_pairs(photos, neighbours=3, progress=lambda done, of: steps.append((done, of))) == [(0, 1)]
+    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
