@@ -6,11 +6,12 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 import skymoor.evaluate
+from skymoor.arguments import Evaluate, Run
 from skymoor.config import Site, load_site, parse_option, site_from_arguments, with_options
 from skymoor.errors import InputError
 from skymoor.geo.frame import EnuFrame
@@ -19,9 +20,6 @@ from skymoor.products import NOT_REGISTERED, write_products
 from skymoor.reference import read_reference
 from skymoor.screen import Screen, evaluation_table, summary_table
 from skymoor.store import Store, has_metadata, open_photos, photos_fingerprint, read_cameras_csv, read_truth_csv
-
-if TYPE_CHECKING:
-    from skymoor.cli import Evaluate, Run
 
 
 def run(command: Run) -> bool:
@@ -79,9 +77,7 @@ def _site(command: Run) -> Site:
         clash = [name for name in ("airborne", "ortho", "dsm") if getattr(command, name) is not None]
         if clash or command.ground:
             raise InputError(f"{command.site} already names the data: leave out --{(clash or ['ground'])[0]}")
-        return load_site(
-            command.site, vertical_datum=command.vertical_datum, ce90=command.ce90, le90=command.le90
-        )
+        return load_site(command.site, vertical_datum=command.vertical_datum, ce90=command.ce90, le90=command.le90)
     if command.ortho is None or command.dsm is None:
         raise InputError("name a site.toml, or give --airborne, --ortho and --dsm")
     return site_from_arguments(

@@ -151,7 +151,7 @@ def register_component(
         try:
             return _place(attempt_name, tried, photos, reference, options, store, seed=seed, track=track)
         except DegenerateGeometry as error:
-            refused = Registration(False, str(error), None)
+            refused = Registration(registered=False, reason=str(error), enu_from_level=None)
             return Placed(tried, Similarity.identity(), refused)
 
     first = attempt(name, component)
@@ -218,7 +218,8 @@ def _place(
         code=[skymoor.match],
     )
     if not placements:
-        refused = Registration(False, "the reference is too small for the model at any height that was searched", None)
+        reason = "the reference is too small for the model at any height that was searched"
+        refused = Registration(registered=False, reason=reason, enu_from_level=None)
         return Placed(level, level_from_sfm, refused, gravity, render)
 
     registration, matches = store.stage(
@@ -297,4 +298,3 @@ def reference_from_render(render: Render, registration: Registration, reference:
     level = view @ render.view.view_from_level
     placed = reference.grid.px_from_enu(registration.enu_from_level.apply(level)[:, :2])
     return np.asarray(cv2.getAffineTransform(corners.astype(np.float32), placed.astype(np.float32)))
-

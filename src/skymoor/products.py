@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -37,9 +37,7 @@ REGISTERED, NOT_REGISTERED = "REGISTERED", "NOT_REGISTERED"
 
 def accuracies(placed: Placed, reference: Reference) -> tuple[Array, Array]:
     """Predicted CE90 and LE90 in metres, each (n,), of a registered component's cameras."""
-    covariances = camera_covariances(
-        placed.registration, placed.cameras_enu, reference, placed.component.calibration
-    )
+    covariances = camera_covariances(placed.registration, placed.cameras_enu, reference, placed.component.calibration)
     return np.array([ce90_m(c) for c in covariances]), np.array([le90_m(c) for c in covariances])
 
 
@@ -47,7 +45,7 @@ def write_products(
     set_name: str,
     placed: Sequence[Placed],
     images: Sequence[str],
-    other_images: dict[str, Sequence[str]],
+    other_images: Mapping[str, Sequence[str]],
     site: Site,
     reference: Reference,
     options: Options,
@@ -251,4 +249,3 @@ def _write_rasters(placed: Sequence[Placed], reference: Reference, options: Matc
 
 def _registered(placed: Sequence[Placed]) -> Iterable[Placed]:
     return (item for item in placed if item.registration.registered and item.render is not None)
-

@@ -152,7 +152,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Render:
-    """What a view of a model looks like: rgb (h, w, 3), xyz_level (h, w, 3) NaN where nothing is, confidence in [0, 1]."""
+    """What a view shows: rgb (h, w, 3), xyz_level (h, w, 3) NaN where nothing is, and confidence in [0, 1]."""
 
     view: View
     rgb: Image

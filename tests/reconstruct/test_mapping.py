@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -36,62 +36,65 @@ def camera_errors_m(component: Component, flight: Flight) -> Array:
     return np.linalg.norm(enu_from_sfm(component, flight).apply(component.centres) - truth, axis=1)
 
 
-class TestFlight:
-    @pytest.fixture(scope="class")
-    def component(self, flight: Flight) -> Component:
-        steps: list[tuple[int, int]] = []
-        components = reconstruct(flight.photos, seed=1, progress=lambda done, of: steps.append((done, of)))
-        assert len(components) == 1
-        assert all(0 <= done <= of for done, of in steps) and steps[-1][0] == steps[-1][1]
-        return components[0]
+@pytest.fixture(scope="module")
+def component(flight: Flight) -> Component:
+    steps: list[tuple[int, int]] = []
+    components = reconstruct(flight.photos, seed=1, progress=lambda done, of: steps.append((done, of)))
+    assert len(components) == 1
+    assert all(0 <= done <= of for done, of in steps) and steps[-1][0] == steps[-1][1]
+    return components[0]
 
-    def test_every_photo_is_in_the_right_place(self, component: Component, flight: Flight) -> None:
-        assert sorted(c.image for c in component.cameras) == sorted(flight.photos.names)
-        error = camera_errors_m(component, flight)
-        assert error.mean() < 0.002 * flight.standoff_m
-        assert error.mean() > 1e-5 * flight.standoff_m
-        similarity = enu_from_sfm(component, flight)
-        for camera, truth in zip(component.cameras, true_cameras(component, flight), strict=True):
-            turn = camera.moved(similarity).cam_from_world.rotation @ truth.cam_from_world.rotation.T
-            assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 0.2
 
-    def test_the_lens_is_found_and_certain(self, component: Component, flight: Flight) -> None:
-        found, true = component.cameras[0].intrinsics, flight.cameras[0].intrinsics
-        assert found.fx == pytest.approx(true.fx, rel=0.005)
-        assert found.cx == pytest.approx(true.cx, abs=0.7) and found.cy == pytest.approx(true.cy, abs=0.7)
-        assert found.distortion[0] == pytest.approx(true.distortion[0], abs=0.01)
-        assert (found.width, found.height) == (400, 300)
-        assert component.calibration is not None
-        assert component.calibration.shared_intrinsics and not component.calibration.uncertain
-        assert component.calibration.focal_px == pytest.approx(found.fx)
+def test_every_photo_is_in_the_right_place(component: Component, flight: Flight) -> None:
+    assert sorted(c.image for c in component.cameras) == sorted(flight.photos.names)
+    error = camera_errors_m(component, flight)
+    assert error.mean() < 0.002 * flight.standoff_m
+    assert error.mean() > 1e-5 * flight.standoff_m
+    similarity = enu_from_sfm(component, flight)
+    for camera, truth in zip(component.cameras, true_cameras(component, flight), strict=True):
+        turn = camera.moved(similarity).cam_from_world.rotation @ truth.cam_from_world.rotation.T
+        assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 0.2
 
-    def test_points_lie_on_the_surface_in_its_colours(self, component: Component, flight: Flight) -> None:
-        assert len(component.points) > 1500
-        xyz = enu_from_sfm(component, flight).apply(component.points)
-        centre = true_cameras(component, flight)[0].centre
-        t, _, _ = flight.scene.cast(centre, xyz - centre)
-        mine = np.unique(component.obs_point[component.obs_camera == 0])
-        assert np.median(np.abs(t[mine] - 1)) < 0.002
-        grey = component.colours.astype(float).mean(axis=1)
-        seen = np.array(
-            [
-                flight.images[component.cameras[c].image][int(v), int(u)].mean()
-                for c, (u, v) in zip(component.obs_camera, component.obs_px, strict=True)
-            ]
-        )
-        assert np.corrcoef(grey[component.obs_point], seen)[0, 1] > 0.8
 
-    def test_observations_agree_with_the_cameras(self, component: Component) -> None:
-        assert 0.01 < component.reprojection_px < 0.5
-        for k, camera in enumerate(component.cameras):
-            mine = component.obs_camera == k
-            xyz = camera.cam_from_world.apply(component.points[component.obs_point[mine]])
-            gap = np.linalg.norm(camera.intrinsics.px_from_cam(xyz) - component.obs_px[mine], axis=1)
-            assert np.median(gap) < 0.5
+def test_the_lens_is_found_and_certain(component: Component, flight: Flight) -> None:
+    found, true = component.cameras[0].intrinsics, flight.cameras[0].intrinsics
+    assert found.fx == pytest.approx(true.fx, rel=0.005)
+    assert found.cx == pytest.approx(true.cx, abs=0.7) and found.cy == pytest.approx(true.cy, abs=0.7)
+    assert found.distortion[0] == pytest.approx(true.distortion[0], abs=0.01)
+    assert (found.width, found.height) == (400, 300)
+    assert component.calibration is not None
+    assert component.calibration.shared_intrinsics and not component.calibration.uncertain
+    assert component.calibration.focal_px == pytest.approx(found.fx)
+
+
+def test_points_lie_on_the_surface_in_its_colours(component: Component, flight: Flight) -> None:
+    assert len(component.points) > 1500
+    xyz = enu_from_sfm(component, flight).apply(component.points)
+    centre = true_cameras(component, flight)[0].centre
+    t, _, _ = flight.scene.cast(centre, xyz - centre)
+    mine = np.unique(component.obs_point[component.obs_camera == 0])
+    assert np.median(np.abs(t[mine] - 1)) < 0.002
+    grey = component.colours.astype(float).mean(axis=1)
+    seen = np.array(
+        [
+            flight.images[component.cameras[c].image][int(v), int(u)].mean()
+            for c, (u, v) in zip(component.obs_camera, component.obs_px, strict=True)
+        ]
+    )
+    assert np.corrcoef(grey[component.obs_point], seen)[0, 1] > 0.8
+
+
+def test_observations_agree_with_the_cameras(component: Component) -> None:
+    assert 0.01 < component.reprojection_px < 0.5
+    for k, camera in enumerate(component.cameras):
+        mine = component.obs_camera == k
+        xyz = camera.cam_from_world.apply(component.points[component.obs_point[mine]])
+        gap = np.linalg.norm(camera.intrinsics.px_from_cam(xyz) - component.obs_px[mine], axis=1)
+        assert np.median(gap) < 0.5
 
 
 def test_two_places_are_two_components(flight: Flight) -> None:
-    elsewhere = flight.with_scene(make_scene(3), [0, 1, 2, 12])
+    elsewhere = flight.with_scene(make_scene(3), [0, 1, 2, 3])
     names = ("photo_00.jpg", "photo_01.jpg", "photo_02.jpg", "photo_16.jpg", "photo_17.jpg")
     images = {f"b/{name}": image for name, image in elsewhere.images.items()}
     images |= {f"a/{name}": flight.images[name] for name in names}
@@ -107,12 +110,10 @@ def test_the_same_seed_gives_the_same_reconstruction(flight: Flight) -> None:
     some = photos_of({name: flight.images[name] for name in list(flight.images)[12:]})
     options = ReconstructOptions(SiftMatcher(max_features=1500))
     (a,), (b,) = (reconstruct(some, options, seed=5) for _ in range(2))
-    assert [c.image for c in a.cameras] == [c.image for c in b.cameras]
-    assert len(a.points) == len(b.points)
-    # Threads add in any order, and the frame itself is free: what remains is the shape.
-    back = umeyama(b.centres, a.centres)
-    size = np.linalg.norm(a.centres - a.centres.mean(axis=0), axis=1).mean()
-    assert np.abs(back.apply(b.centres) - a.centres).max() < 1e-3 * size
+    assert [c.image for c in a.cameras] == [c.image for c in b.cameras] == list(some.names)
+    np.testing.assert_array_equal(a.centres, b.centres)
+    np.testing.assert_array_equal(a.points, b.points)
+    assert a.calibration == b.calibration
 
 
 def test_photos_of_nothing_in_common_give_no_component() -> None:
@@ -150,4 +151,3 @@ def test_photos_of_two_sizes_are_two_cameras(flight: Flight) -> None:
     widths = {c.image: c.intrinsics.width for c in component.cameras}
     assert widths[names[0]] == 390 and widths[names[1]] == 400
     assert component.calibration is not None and not component.calibration.shared_intrinsics
-    assert replace(component.cameras[0], image="") is not component.cameras[0]

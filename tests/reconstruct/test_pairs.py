@@ -16,8 +16,8 @@ def unit(rows: NDArray[np.float64]) -> Array32:
 def strip(n: int, *, step: int, window: int, noise: float = 0.02) -> list[Array32]:
     """Photos along a strip: each holds `window` features of a row, the next one begins `step` features later."""
     rng = np.random.default_rng(0)
-    world = unit(rng.normal(size=(n * step + window, 64)))
-    photos = [world[k * step : k * step + window] + noise * rng.normal(size=(window, 64)) for k in range(n)]
+    world = unit(rng.normal(size=(n * step + window, 128)))
+    photos = [world[k * step : k * step + window] + noise * rng.normal(size=(window, 128)) for k in range(n)]
     return [unit(rng.permutation(photo)) for photo in photos]
 
 
@@ -37,24 +37,17 @@ def test_votes_keep_the_best_of_either_side() -> None:
 
 def test_overlapping_photos_find_each_other() -> None:
     photos = strip(10, step=40, window=100)  # 60 common features with the next photo, 20 with the one after
-    pairs = preemptive_pairs(photos, neighbours=2)
-    assert {(k, k + 1) for k in range(9)} <= set(pairs)
-    assert all(b - a <= 2 for a, b in pairs)
-    assert preemptive_pairs(photos, neighbours=4) == [(a, b) for a in range(10) for b in (a + 1, a + 2) if b < 10]
+    # Photos at the ends have two partners to one side, and those are the nearest ones.
+    near = [(a, b) for a in range(10) for b in (a + 1, a + 2) if b < 10]
+    assert set(preemptive_pairs(photos, neighbours=2)) == {(k, k + 1) for k in range(9)} | {(0, 2), (7, 9)}
+    assert preemptive_pairs(photos, neighbours=9, min_mutual=12) == near
 
 
-def test_unrelated_photos_make_no_pair() -> None:
+def test_votes_of_chance_are_far_below_those_of_an_overlap() -> None:
     rng = np.random.default_rng(2)
-    photos = [unit(rng.normal(size=(200, 64))) for _ in range(6)]
-    assert preemptive_pairs(photos, neighbours=5) == []
-
-
-def test_two_sites_stay_apart() -> None:
-    here, there = strip(4, step=30, window=100), strip(8, step=30, window=100)[4:]
-    pairs = preemptive_pairs([*here, *there], neighbours=7)
-    assert {(0, 1), (1, 2), (2, 3), (4, 5), (5, 6), (6, 7)} <= set(pairs)
-    # The eighth photo of the same strip begins 120 features later, where nothing of the first is left.
-    assert (0, 7) not in pairs
+    photos = [*strip(3, step=40, window=100), *(unit(rng.normal(size=(100, 128))) for _ in range(3))]
+    assert preemptive_pairs(photos, neighbours=5, min_mutual=12) == [(0, 1), (0, 2), (1, 2)]
+    assert preemptive_pairs(photos, neighbours=5, min_mutual=50) == [(0, 1), (1, 2)]
 
 
 def test_photos_without_features_are_left_out_and_progress_ends() -> None:
@@ -62,5 +55,7 @@ def test_photos_without_features_are_left_out_and_progress_ends() -> None:
     photos[2] = np.zeros((0, 64), np.float32)
     photos[3] = photos[3][:1]
     steps: list[tuple[int, int]] = []
-    assert preemptive_pairs(photos, neighbours=3, progress=lambda done, of: steps.append((done, of))) == [(0, 1)]
+    assert preemptive_pairs(
+        photos, neighbours=3, min_mutual=30, progress=lambda done, of: steps.append((done, of))
+    ) == [(0, 1)]
     assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]

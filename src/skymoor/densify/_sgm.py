@@ -7,10 +7,10 @@ lens distortion is removed in the same resampling.
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-import os
 
 import cv2
 import numpy as np
@@ -19,8 +19,7 @@ from skymoor.densify.fuse import fuse_depths
 from skymoor.densify.neighbours import depth_range, stereo_partners
 from skymoor.densify.protocol import DepthEstimator
 from skymoor.geometry.camera import Intrinsics
-from skymoor.types import Array, Array32, Camera, Component, DepthMap, Image, Photos, Progress, no_progress
-
+from skymoor.types import Array, Array32, Camera, Component, DepthMap, Image, Mask, Photos, Progress, no_progress
 
 MAX_DISPARITIES = 320
 MAX_STRETCH = 3.0
@@ -149,7 +148,7 @@ def _rectify(camera: Camera, other: Camera, near: float, far: float) -> _Rectifi
     return _Rectified(rotation, focal, -focal * low[0], -focal * low[1], size, baseline, d_min, count)
 
 
-def _warp(image: Image, camera: Camera, rect: _Rectified, cx: float) -> tuple[Image, Array]:
+def _warp(image: Image, camera: Camera, rect: _Rectified, cx: float) -> tuple[Image, Mask]:
     """Resample an image into the rectified frame; also where the result lies inside the photo."""
     matrix = np.array([[rect.focal, 0, cx - 0.5], [0, rect.focal, rect.cy - 0.5], [0, 0, 1]])
     turn = rect.rotation @ camera.cam_from_world.rotation.T
@@ -163,7 +162,7 @@ def _warp(image: Image, camera: Camera, rect: _Rectified, cx: float) -> tuple[Im
 
 def _match(left: Image, right: Image, count: int, block: int = 5) -> Array32:
     """Disparity beyond `d_min`, NaN where left and right disagree."""
-    sgm = cv2.StereoSGBM_create(
+    sgm = cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=count,
         blockSize=block,

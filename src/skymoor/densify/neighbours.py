@@ -54,7 +54,9 @@ def depth_range(component: Component, camera: int, *, margin: float = 0.25) -> t
     depth = depth[depth > 0]
     near, middle, far = np.percentile(depth, [1, 50, 98])
     # Roofs and tree tops carry few points: what rises above the nearest point must still be within the range.
-    return float(max(near - margin * (middle - near) - 0.08 * middle, 0.2 * near)), float(far + margin * (far - middle) + 0.05 * far)
+    return float(max(near - margin * (middle - near) - 0.08 * middle, 0.2 * near)), float(
+        far + margin * (far - middle) + 0.05 * far
+    )
 
 
 def _unit(vectors: Array) -> Array:

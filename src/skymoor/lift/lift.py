@@ -29,7 +29,11 @@ class LiftOptions:
 
 
 def lift(
-    matches: Matches2D, render: Render, reference: Reference, metres_per_level: float, options: LiftOptions | None = None
+    matches: Matches2D,
+    render: Render,
+    reference: Reference,
+    metres_per_level: float,
+    options: LiftOptions | None = None,
 ) -> Matches3D:
     """Points of both sides for matches from the render (a) to the reference (b).
 
@@ -52,14 +56,14 @@ def lift(
 
 
 def height_step(height: Array32, width_px: float) -> Array32:
-    """Difference between the highest and the lowest height within a square of `width_px`; holes left out, inf in holes."""
+    """Difference between the highest and the lowest height within a square of `width_px`; inf where it has none."""
     width = 2 * max(1, round(width_px / 2)) + 1
     kernel = np.ones((width, width), np.uint8)
     known = np.isfinite(height)
-    high = cv2.dilate(np.where(known, height, -np.inf).astype(np.float32), kernel)
-    low = cv2.erode(np.where(known, height, np.inf).astype(np.float32), kernel)
-    some = np.isfinite(high) & np.isfinite(low)
-    return np.where(some, np.where(some, high, 0) - np.where(some, low, 0), np.inf).astype(np.float32)
+    unknown = np.float32(1e9)  # beyond any height, and far from where a difference overflows
+    high = cv2.dilate(np.where(known, height, -unknown).astype(np.float32), kernel, borderValue=-float(unknown))
+    low = cv2.erode(np.where(known, height, unknown).astype(np.float32), kernel, borderValue=float(unknown))
+    return np.where(high >= low, high - low, np.inf).astype(np.float32)
 
 
 def _at(raster: Array32, px: Array) -> Array32:

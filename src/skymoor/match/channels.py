@@ -70,7 +70,7 @@ def rotate_angles(values: Array32, radians: float) -> Array32:
 
 def _colour(rgb: Image, mask: Mask, options: ChannelOptions) -> tuple[Array32, Array32]:
     inner = _shrink(mask, 2)
-    log = np.log(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) + 16)
+    log = np.log(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) + np.float32(16))
     gu, gv = _gradient(_fill(log, mask), options.smooth_px)
     magnitude = np.hypot(gu, gv) * inner
     compressed = np.tanh(magnitude / (1.5 * _local_rms(magnitude, inner, options.local_px) + 1e-6))
@@ -87,13 +87,13 @@ def _height(height: Array32, options: ChannelOptions) -> tuple[Array32, Array32]
     gu, gv = _gradient(_fill(height, mask), 1.5 * options.smooth_px)
     slope = np.hypot(gu, gv)
     gain = np.tanh(slope / options.slope) / (slope + 1e-9) * inner * options.height_weight
-    stack = np.stack([_blur(gu * gain, options.pool_px), _blur(gv * gain, options.pool_px)])
-    return stack.astype(np.float32), inner
+    stack = [_blur(np.asarray(g * gain, dtype=np.float32), options.pool_px) for g in (gu, gv)]
+    return np.stack(stack), inner
 
 
 def _scaled(stack: Array32, inner: Array32, local_px: float) -> Array32:
     """Divide by the neighbourhood's energy, so that a car park does not outvote a meadow's only path."""
-    rms = _local_rms(np.sqrt((stack * stack).sum(axis=0)), inner, 2 * local_px)
+    rms = _local_rms(np.asarray(np.sqrt((stack * stack).sum(axis=0)), dtype=np.float32), inner, 2 * local_px)
     return np.asarray(stack * inner / (rms + 0.1), dtype=np.float32)
 
 
@@ -124,7 +124,7 @@ def _fill(values: Array32, mask: Mask) -> Array32:
 
 def _shrink(mask: Mask, px: int) -> Array32:
     padded = cv2.erode(mask.astype(np.uint8), np.ones((2 * px + 1, 2 * px + 1), np.uint8), borderValue=0)
-    return padded.astype(np.float32)
+    return np.asarray(padded, dtype=np.float32)
 
 
 def _blur(values: Array32, sigma: float) -> Array32:

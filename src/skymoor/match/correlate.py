@@ -64,7 +64,9 @@ def correlate(template: Channels, target: Target, *, min_overlap: float, valid: 
     products[1] = own[-1] * reference[-2]
     products[2] = own[-1] * reference[-1]
     maps = fft.irfft2(products, s=size, workers=_WORKERS, overwrite_x=True)
-    window = (slice(th - 1, target.shape[0]), slice(tw - 1, target.shape[1])) if valid else (slice(full[0]), slice(full[1]))
+    window = (
+        (slice(th - 1, target.shape[0]), slice(tw - 1, target.shape[1])) if valid else (slice(full[0]), slice(full[1]))
+    )
     numerator, energy, overlap = maps[(slice(None), *window)]
     area = float(template.known[0].sum())
     own_energy = float((template.values**2).sum()) * np.maximum(overlap, 0) / max(area, 1.0)

@@ -7,7 +7,7 @@ because at the coarse pixel the right one is not always the first. Any dense mat
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -60,7 +60,7 @@ class SearchOptions:
     keep: int = 12
     keep_ratio: float = 0.6
     fine_px: int = 500
-    channels: ChannelOptions = ChannelOptions()
+    channels: ChannelOptions = field(default_factory=ChannelOptions)
 
 
 def search_placements(
@@ -179,7 +179,7 @@ class _Search:
         channels = make_channels(self._a.at(trial.scale * ratio), self._options.channels)
         template = turn(channels, trial.heading_rad)
         side = template.values.shape[1]
-        u0, v0 = (int(round(x * ratio - side / 2)) - reach for x in trial.place)
+        u0, v0 = (round(x * ratio - side / 2) - reach for x in trial.place)
         window = cut(self._target(ratio).channels, u0, v0, side + 2 * reach)
         scores = correlate(template, Target(window), min_overlap=self._options.min_overlap, valid=True)
         for v, u, score in peaks(scores, count=1, apart=1):

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -34,7 +34,7 @@ class StructuralMatcher:
     window_px: float = 7.0
     grid_px: int = 4
     margin: float = 0.1
-    channels: ChannelOptions = ChannelOptions()
+    channels: ChannelOptions = field(default_factory=ChannelOptions)
 
     def __call__(self, a: Raster, b: Raster) -> Warp:
         """Match both ways; see `DenseMatcher`."""

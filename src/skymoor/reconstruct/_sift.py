@@ -46,6 +46,7 @@ class SiftMatcher:
         n = len(photos)
         total = 3 * n  # extraction, choice of partners and matching take about as long
         _write_greyscale(photos, folder)
+        self._enter(photos, database)
         self._extract(photos, database, folder, lambda done: progress(done, total))
         pairs = self._pairs(photos, database)
         names = [colmap_name(i, size) for i, size in enumerate(photos.sizes)]
@@ -55,24 +56,36 @@ class SiftMatcher:
             done += len(block)
             progress(n + 2 * n * done // len(pairs), total)
 
+    def _enter(self, photos: Photos, database: Path) -> None:
+        """Cameras and images in the order of the photos.
+
+        Extraction would number them as its threads finish, and the mapping's result depends on the numbers.
+        """
+        # RADIAL for a shared camera: a hundred photos determine a second term, a single photo does not.
+        model = "RADIAL" if self.shared_camera else "SIMPLE_RADIAL"
+        cameras: dict[tuple[int, int], tuple[int, int]] = {}
+        with pycolmap.Database.open(database) as db:
+            for index, size in enumerate(photos.sizes):
+                if size not in cameras or not self.shared_camera:
+                    cameras[size] = _new_camera(db, model, size)
+                camera_id, rig_id = cameras[size]
+                image_id = db.write_image(pycolmap.Image(name=colmap_name(index, size), camera_id=camera_id))
+                frame = pycolmap.Frame(rig_id=rig_id)
+                frame.add_data_id(db.read_image(image_id).data_id)
+                db.write_frame(frame)
+
     def _extract(self, photos: Photos, database: Path, folder: Path, report: Callable[[int], None]) -> None:
         options = pycolmap.FeatureExtractionOptions(use_gpu=False, num_threads=os.cpu_count() or 1)
         options.max_image_size = self.max_image_px
         options.sift.max_num_features = self.max_features
-        mode = pycolmap.CameraMode.SINGLE if self.shared_camera else pycolmap.CameraMode.PER_IMAGE
-        # RADIAL for a shared camera: a hundred photos determine a second term, a single photo does not.
-        reader = pycolmap.ImageReaderOptions(camera_model="RADIAL" if self.shared_camera else "SIMPLE_RADIAL")
+        mode = pycolmap.CameraMode.PER_IMAGE  # no camera is made: the images have theirs
+        reader = pycolmap.ImageReaderOptions()
+        names = [colmap_name(i, size) for i, size in enumerate(photos.sizes)]
         done = 0
-        for size in sorted(set(photos.sizes)):
-            reader.existing_camera_id = -1
-            names = [colmap_name(i, s) for i, s in enumerate(photos.sizes) if s == size]
-            for block in _blocks(names, 16):
-                pycolmap.extract_features(database, folder, block, mode, reader, options, pycolmap.Device.cpu)
-                done += len(block)
-                report(done)
-                if self.shared_camera:  # else each block would begin a camera of its own
-                    with pycolmap.Database.open(database) as db:
-                        reader.existing_camera_id = db.read_image_with_name(block[0]).camera_id
+        for block in _blocks(names, 16):
+            pycolmap.extract_features(database, folder, block, mode, reader, options, pycolmap.Device.cpu)
+            done += len(block)
+            report(done)
 
     def _pairs(self, photos: Photos, database: Path) -> list[tuple[int, int]]:
         if len(photos) <= self.exhaustive_below:
@@ -112,9 +125,25 @@ def _write_greyscale(photos: Photos, folder: Path) -> None:
         cv2.imwrite(str(path), cv2.cvtColor(photos.read(name), cv2.COLOR_RGB2GRAY))
 
 
+def _new_camera(db: pycolmap.Database, model: str, size: tuple[int, int]) -> tuple[int, int]:
+    """Numbers of a new camera with COLMAP's usual first guess, and of the rig that holds nothing else."""
+    camera = pycolmap.Camera.create_from_model_name(0, model, 1.2 * max(size), *size)
+    camera.camera_id = db.write_camera(camera)
+    rig = pycolmap.Rig()
+    rig.add_ref_sensor(camera.sensor_id)
+    return camera.camera_id, db.write_rig(rig)
+
+
+def _stored(db: pycolmap.Database, name: str) -> pycolmap.Image:
+    image = db.read_image_with_name(name)
+    if image is None:
+        raise LookupError(f"{name} is not in the database")
+    return image
+
+
 def _largest(db: pycolmap.Database, name: str, count: int) -> Array32:
     """Unit descriptors (at most `count`, 128) of an image's largest features."""
-    image_id = db.read_image_with_name(name).image_id
+    image_id = _stored(db, name).image_id
     affine = db.read_keypoints(image_id)[:, 2:6]
     scale = np.abs(affine[:, 0] * affine[:, 3] - affine[:, 1] * affine[:, 2])
     data = db.read_descriptors(image_id).data[np.argsort(-scale)[:count]].astype(np.float32)

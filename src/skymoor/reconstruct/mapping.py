@@ -101,4 +101,3 @@ def _finish(
     component = replace(component_from_colmap(model, names), calibration=calibration)
     colours = np.clip(mean_colours(component, photos.read) + 0.5, 0, 255).astype(np.uint8)
     return replace(component, colours=colours)
-

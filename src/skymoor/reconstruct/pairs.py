@@ -42,7 +42,7 @@ def preemptive_pairs(
         if others and len(tensors[i]):
             sizes = [len(tensors[j]) for j in others]
             similarity = tensors[i] @ torch.cat([tensors[j] for j in others]).T
-            for j, block in zip(others, similarity.split(sizes, dim=1), strict=True):
+            for j, block in zip(others, torch.split(similarity, sizes, dim=1), strict=True):
                 votes[i, j] = votes[j, i] = _mutual(block)
         progress(i + 1, n)
     return pairs_from_votes(votes, neighbours=neighbours, min_votes=min_mutual)
@@ -50,7 +50,7 @@ def preemptive_pairs(
 
 def pairs_from_votes(votes: NDArray[np.int32], *, neighbours: int, min_votes: int) -> list[tuple[int, int]]:
     """Keep each photo's best partners of a symmetric (n, n) table of votes."""
-    pairs = set()
+    pairs: set[tuple[int, int]] = set()
     for i, row in enumerate(votes):
         best = np.argsort(-row, kind="stable")[:neighbours]
         pairs.update((min(i, int(j)), max(i, int(j))) for j in best if row[j] >= min_votes)

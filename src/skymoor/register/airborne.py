@@ -63,7 +63,7 @@ def register(
             source, target, consensus.transform, sigma_m=sigma_m, tilt_sigma_deg=options.tilt_sigma_deg
         )
     except (TooFewMatches, DegenerateGeometry) as error:
-        return Registration(False, f"no transform: {error}", None, n_matches=n)
+        return Registration(registered=False, reason=f"no transform: {error}", enu_from_level=None, n_matches=n)
     residuals = transform.apply(matches.xyz_level) - matches.xyz_enu
     inliers = np.linalg.norm(residuals, axis=1) <= inlier_m
     cells = independent_places(matches.xyz_enu[inliers], options.correlation_m)
@@ -112,4 +112,3 @@ def _spread(residuals: Array) -> Array:
     mad = 1.4826 * np.median(np.abs(residuals - np.median(residuals, axis=0)), axis=0)
     horizontal = max(float(np.hypot(mad[0], mad[1]) / np.sqrt(2)), HORIZONTAL_FLOOR_M)
     return np.array([horizontal, horizontal, max(float(mad[2]), VERTICAL_FLOOR_M)])
-

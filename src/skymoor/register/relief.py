@@ -26,9 +26,9 @@ class ReliefOptions:
         significance: standard deviations by which the correction must differ from none.
     """
 
-    blur_m: float = 2.0
-    systematic_ratio: float = 0.02
-    significance: float = 1.5
+    blur_m: float = 1.0
+    systematic_ratio: float = 0.025
+    significance: float = 1.0
 
 
 @dataclass(frozen=True)

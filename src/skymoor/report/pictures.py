@@ -42,7 +42,7 @@ def match_picture(
     canvas = np.zeros((max(len(left), len(right)), left.shape[1] + right.shape[1] + 8, 3), np.uint8)
     canvas[: len(left), : left.shape[1]] = left
     canvas[: len(right), left.shape[1] + 8 :] = right
-    pick = np.linspace(0, len(matches) - 1, min(count, len(matches))).astype(int) if len(matches) else []
+    pick = np.linspace(0, max(0, len(matches) - 1), min(count, len(matches))).astype(int)
     for k in pick:
         colour = GOOD if inliers is not None and inliers[k] else BAD
         u, v = matches.px_a[k] * scale_a

@@ -14,7 +14,7 @@ MAGIC = b"skymoor1"
 HEADER_BYTES = len(MAGIC) + hashlib.sha256().digest_size
 
 
-class Corrupt(Exception):  # noqa: N818 - it never leaves the store
+class Corrupt(Exception):
     """The file is not what was written, or was written by code that is no longer there."""
 
 

@@ -25,7 +25,7 @@ def open3d() -> ModuleType:
         import open3d as module
     except (ImportError, OSError) as error:
         raise BackendUnavailable(f"Open3D does not load ({error}): pip install open3d-cpu libusb-package") from error
-    return module  # type: ignore[no-any-return]
+    return module
 
 
 def fuse_mesh(

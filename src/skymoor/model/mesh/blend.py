@@ -11,8 +11,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from skymoor.types import Array, Array32, DepthMap, Image
+from skymoor.types import Array, Array32, DepthMap, Image, Mask
+
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ class Blend:
         return np.clip(rgb + 0.5, 0, 255).astype(np.uint8), confidence
 
     @property
-    def seen(self) -> Array:
+    def seen(self) -> Mask:
         """Where at least one photo gave a colour."""
         return np.asarray(self._weight > 0)
 
@@ -109,7 +112,7 @@ class Blend:
         )
 
     def _add_colour(
-        self, window: tuple[slice, slice], at: Array, u: Array32, v: Array32, xyz: Array32, depth_map: DepthMap
+        self, window: tuple[slice, slice], at: Index, u: Array32, v: Array32, xyz: Array32, depth_map: DepthMap
     ) -> None:
         rays = xyz - depth_map.camera.centre.astype(np.float32)
         cosine = rays @ self._direction.astype(np.float32) / np.linalg.norm(rays, axis=1)
@@ -124,7 +127,7 @@ class Blend:
         _accumulate(self._weight[window], at, weight)
 
     def _add_judgement(
-        self, window: tuple[slice, slice], at: Array, u: Array32, v: Array32, z: Array32, depth_map: DepthMap
+        self, window: tuple[slice, slice], at: Index, u: Array32, v: Array32, z: Array32, depth_map: DepthMap
     ) -> None:
         o = self._options
         row, column = _index(v, depth_map.depth.shape[0]), _index(u, depth_map.depth.shape[1])
@@ -148,11 +151,11 @@ def _sample(image: Image, u: Array32, v: Array32) -> Image:
     return np.asarray(colours.reshape(-1, 3)[: len(u)], dtype=np.uint8)
 
 
-def _index(position: Array32, size: int) -> Array:
-    return np.clip(position.astype(np.int32), 0, size - 1)
+def _index(position: Array32, size: int) -> Index:
+    return np.clip(position.astype(np.intp), 0, size - 1)
 
 
-def _accumulate(target: Array32, at: Array, values: Array32) -> None:
+def _accumulate(target: Array32, at: Index, values: Array32) -> None:
     """Add at flat positions of a window; positions are unique, so no scatter-add is needed."""
     rows, columns = np.unravel_index(at, target.shape[:2])
     target[rows, columns] += values

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import cv2
@@ -36,7 +36,7 @@ class MeshBuilder:
     min_weight: float = 2.0
     max_sigma_ratio: float = 0.02
     max_voxels_across: int = 1500
-    blend: BlendOptions = BlendOptions()
+    blend: BlendOptions = field(default_factory=BlendOptions)
 
     def __call__(
         self, component: Component, depths: Sequence[DepthMap], *, progress: Progress = no_progress

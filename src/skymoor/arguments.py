@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each command takes; the comments under the fields are its help."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Run:
+    """Place a site's photos on the Earth."""
+
+    site: Annotated[Path | None, tyro.conf.Positional] = None
+    """site.toml; or say --airborne, --ortho and --dsm."""
+    out: Path = Path("out")
+    """Folder for the results; the same command again goes on where it stopped."""
+    airborne: Path | None = None
+    """Folder of airborne photos."""
+    ground: tuple[Path, ...] = ()
+    """Folders of ground photos (not placed by this version)."""
+    ortho: Path | None = None
+    """Satellite orthophoto, any CRS that GDAL reads."""
+    dsm: Path | None = None
+    """Its surface model, heights in metres."""
+    vertical_datum: str | None = None
+    """What the DSM's heights refer to: "ellipsoid" or an EPSG code such as "EPSG:3855"."""
+    ce90: float | None = None
+    """Circular error of the reference, 90 percent, metres."""
+    le90: float | None = None
+    """Linear (vertical) error of the reference, 90 percent, metres."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """An option by its dotted name, for example --set match.cyclic.cycle_px=3; may be repeated."""
+    seed: int = 0
+    """Makes a run repeatable."""
+    quiet: bool = False
+    """Plain lines in place of progress bars."""
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Compare a finished run with true camera positions."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Folder of the run."""
+    truth: Path
+    """truth.csv: image,lat,lon,height."""
