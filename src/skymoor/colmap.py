@@ -14,6 +14,10 @@ from skymoor.geometry.similarity import Similarity
 from skymoor.types import Array, Camera, Component, Image
 
 
+# COLMAP reports every step on stderr; what a person needs to know comes from skymoor itself.
+pycolmap.logging.minloglevel = int(pycolmap.logging.Level.ERROR)
+
+
 def intrinsics_of(camera: pycolmap.Camera) -> Intrinsics:
     """Our intrinsics of a COLMAP camera of the pinhole, radial or OPENCV kind.
 

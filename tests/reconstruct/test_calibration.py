@@ -74,7 +74,7 @@ def test_calibrate_leaves_the_reconstruction_alone() -> None:
 def test_reprojection_error_is_the_noise() -> None:
     reconstruction = colmap_from_component(block("oblique", relief_m=3.0, noise_px=0.4))
     adjusted = adjust(reconstruction)
-    # Both coordinates together, less what the adjustment absorbs; the mean of lengths within a track is below their rms.
+    # Both coordinates together, less what the adjustment absorbs; a track's mean error is below its rms.
     assert 0.75 * 0.4 * np.sqrt(2) < adjusted < 0.4 * np.sqrt(2)
 
 

@@ -48,7 +48,8 @@ class SearchOptions:
         template_px, reference_px: largest long sides of picture and reference at the coarse level.
         min_overlap: share of the picture that must lie on the reference.
         keep: hypotheses that are refined.
-        keep_ratio: a hypothesis whose score falls below this share of the best is dropped, but two are always kept.
+        keep_ratio: a hypothesis whose score falls below this share of the best is dropped, but three are kept always:
+            how good the best wrong answer is says how good the best one is.
         fine_px: long side of the picture at the finest level.
     """
 
@@ -94,7 +95,7 @@ def search_placements(
     while found:
         refined = [search.refine(p, template_px * 2, heading_step, scale_step) for p in found]
         found = distinct(refined, a.mask.shape)
-        found = [p for k, p in enumerate(found) if k < 2 or p.score > options.keep_ratio * found[0].score]
+        found = [p for k, p in enumerate(found) if k < 3 or p.score > options.keep_ratio * found[0].score]
         template_px, heading_step, scale_step = 2 * template_px, heading_step / 2, scale_step / 2
         if template_px >= options.fine_px or search.ratio(found[0].scale, template_px) >= 1:
             break
@@ -157,16 +158,16 @@ class _Search:
     def refine(self, start: Placement, template_px: int, heading_step: float, scale_step: float) -> Placement:
         """Climb in heading and scale at a finer pixel; the place is searched within a few pixels each time."""
         ratio = self.ratio(start.scale, template_px)
-        best = self._place(start, ratio)
+        best = replace(start, score=-np.inf)
         for step in (1.0, 0.5):
-            middle = best
+            middle = best if np.isfinite(best.score) else start
             for stretch in (-1, 0, 1):
+                scale = middle.scale * float(np.exp(stretch * step * scale_step))
+                channels = make_channels(self._a.at(scale * ratio), self._options.channels)
                 for turned in (-1, 0, 1):
-                    if stretch or turned:
-                        heading = middle.heading_rad + turned * step * heading_step
-                        scale = middle.scale * float(np.exp(stretch * step * scale_step))
-                        trial = self._place(replace(middle, heading_rad=heading, scale=scale), ratio)
-                        best = max(best, trial, key=lambda p: p.score)
+                    heading = middle.heading_rad + turned * step * heading_step
+                    trial = self._place(replace(middle, heading_rad=heading, scale=scale), channels, ratio)
+                    best = max(best, trial, key=lambda p: p.score)
         return best
 
     def _target(self, ratio: float) -> Target:
@@ -174,9 +175,8 @@ class _Search:
             self._targets[ratio] = Target(make_channels(self._b.at(ratio), self._options.channels))
         return self._targets[ratio]
 
-    def _place(self, trial: Placement, ratio: float, reach: int = 8) -> Placement:
-        """The best place within `reach` pixels, and its score."""
-        channels = make_channels(self._a.at(trial.scale * ratio), self._options.channels)
+    def _place(self, trial: Placement, channels: Channels, ratio: float, reach: int = 8) -> Placement:
+        """The best place within `reach` pixels, and its score; `channels` are the picture's at the trial's scale."""
         template = turn(channels, trial.heading_rad)
         side = template.values.shape[1]
         u0, v0 = (round(x * ratio - side / 2) - reach for x in trial.place)

@@ -37,7 +37,7 @@ class SiftMatcher:
     max_image_px: int = 1600
     shared_camera: bool = True
     exhaustive_below: int = 40
-    neighbours: int = 30
+    neighbours: int = 20
     retrieval_features: int = 512
     block_pairs: int = 64
 

@@ -98,7 +98,7 @@ def scale_focal(reconstruction: pycolmap.Reconstruction, ratio: float) -> None:
             camera.params = params
 
 
-def thin(reconstruction: pycolmap.Reconstruction, max_points: int = 4000) -> pycolmap.Reconstruction:
+def thin(reconstruction: pycolmap.Reconstruction, max_points: int = 2500) -> pycolmap.Reconstruction:
     """A copy with only the longest tracks: enough to judge the calibration, several times faster."""
     copy = pycolmap.Reconstruction(reconstruction)
     lengths = {k: p.track.length() for k, p in copy.points3D.items()}

@@ -61,7 +61,9 @@ def reconstruct(
         models = pycolmap.incremental_mapping(
             database, folder, folder, _mapping_options(options, seed), next_image_callback=next_image
         )
-    return [_finish(model, names, photos, options) for model in _worth_keeping(list(models.values()))]
+    components = [_finish(model, names, photos, options) for model in _worth_keeping(list(models.values()))]
+    progress(4 * n, 4 * n)
+    return components
 
 
 def _worth_keeping(models: list[pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:
