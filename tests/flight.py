@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from scene import Scene, make_scene, terrain_height
+from scene import Scene, make_scene
 from skymoor.geometry.camera import Intrinsics
 from skymoor.geometry.similarity import Similarity
 from skymoor.types import Camera, Component, DepthMap, Image, Photos
@@ -169,7 +169,7 @@ def _nadir(rng: np.random.Generator) -> Iterator[Camera]:
 
 
 def _downwards(plan: Array, height: float, heading_deg: float, rng: np.random.Generator) -> Camera:
-    centre = np.array([*plan, height + float(terrain_height(*np.zeros((2, 1)))[0])])
+    centre = np.array([*plan, height])
     target = centre - [0, 0, height] + np.array([*rng.normal(scale=0.8, size=2), 0.0])
     heading = np.radians(heading_deg)
     return Camera("", LENS, look_at(centre, target, up=np.array([np.sin(heading), np.cos(heading), 0.0])))

@@ -53,13 +53,13 @@ HOUSES = (
     House(-28, 20, 16, 10, 20, 6.0, 3.0),
     House(2, 26, 14, 9, -12, 5.0, 2.5),
     House(30, 16, 18, 12, 75, 8.5),
-    House(-40, -2, 13, 9, 100, 4.5, 2.0),
+    House(-47, 10, 13, 9, 100, 4.5, 2.0),
     House(-4, -2, 15, 12, 5, 6.5, plain=True),
     House(-8, -30, 20, 11, -8, 9.5),
     House(42, -24, 12, 8, 40, 5.5, 2.8),
 )
 PLAIN_ROOF = HOUSES[4]
-PARKING = (19.0, -28.0, 26.0, 16.0)  # east, north of its middle, length, width
+PARKING_M = (26.0, 16.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,15 +136,15 @@ class Scene:
 
 def make_scene(seed: int = 0, *, cars_seed: int = 0, sun_deg: tuple[float, float] = (140.0, 48.0)) -> Scene:
     """The site; other `cars_seed` are other days. `sun_deg` is azimuth from north and elevation."""
-    rng = np.random.default_rng(seed)
-    houses = HOUSES if seed == 0 else _shuffled(HOUSES, rng)
-    houses = (*houses, *_outer_houses(rng, 12))
+    rng, land = np.random.default_rng(seed), Land.of(seed)
+    # Another seed is another place: nothing may look the same.
+    houses = (*HOUSES, *_random_houses(rng, land, 12)) if seed == 0 else tuple(_random_houses(rng, land, 19))
     ground, detail = _textures(seed)
-    parts = [_terrain()]
+    parts = [_terrain(land)]
     for house in houses:
-        parts += _house(house, rng)
-    parts += [_tree(e, n, rng) for e, n in _free_places(rng, houses, 40)]
-    parts += _cars(np.random.default_rng([seed, cars_seed]))
+        parts += _house(house, land, rng)
+    parts += [_tree(e, n, land, rng) for e, n in _free_places(rng, land, houses, 40)]
+    parts += _cars(land, np.random.default_rng([seed, cars_seed]))
     counts = np.cumsum([0] + [len(part[0]) for part in parts])
     azimuth, elevation = np.radians(sun_deg)
     sun = np.array(
@@ -161,33 +161,50 @@ def make_scene(seed: int = 0, *, cars_seed: int = 0, sun_deg: tuple[float, float
     )
 
 
-def terrain_height(east: Array, north: Array) -> Array:
-    """Gentle hills: about 1.5 m up and down."""
-    wave = np.sin(east / 31 + 0.6) * np.cos(north / 27 - 0.3) + 0.4 * np.sin((east + 2 * north) / 19)
-    return np.asarray(0.012 * east - 0.008 * north + wave)
+@dataclass(frozen=True)
+class Land:
+    """Gentle hills, about 1.5 m up and down, a curved road, and where cars are parked."""
 
+    phase: float = 0.6
+    road: tuple[float, float, float] = (-14.0, 0.004, 10.0)  # north of its vertex, bend, east of its vertex
+    parking: tuple[float, float] = (19.0, -28.0)
 
-def road_north(east: Array) -> Array:
-    """The curved road's middle line."""
-    return np.asarray(-14 + 0.004 * (east - 10) ** 2 + 3 * np.sin(east / 23))
+    @classmethod
+    def of(cls, seed: int) -> Land:
+        if seed == 0:
+            return cls()
+        rng = np.random.default_rng([seed, 2])
+        road = rng.uniform(-20, 20), rng.choice([-1, 1]) * rng.uniform(0.002, 0.008), rng.uniform(-60, 60)
+        return cls(rng.uniform(0, 6), road, (rng.uniform(-30, 30), road[0] + rng.choice([-16, 16])))
+
+    def height(self, east: Array, north: Array) -> Array:
+        """Up of the ground."""
+        wave = np.sin(east / 31 + self.phase) * np.cos(north / 27 - self.phase / 2)
+        wave = wave + 0.4 * np.sin((east + 2 * north) / 19 + 3 * self.phase)
+        return np.asarray(0.012 * east - 0.008 * north + wave)
+
+    def off_road(self, east: Array, north: Array) -> Array:
+        """Distance to the road's middle line, measured to the north."""
+        middle, bend, vertex = self.road
+        return np.asarray(np.abs(north - middle - bend * (east - vertex) ** 2 - 3 * np.sin(east / 23)))
 
 
 Part = tuple[Array, Array, int, tuple[float, float, float]]
 
 
-def _terrain(step: float = 2.0) -> Part:
+def _terrain(land: Land, step: float = 2.0) -> Part:
     side = np.arange(-EXTENT_M, EXTENT_M + step, step)
     east, north = np.meshgrid(side, side)
     n = len(side)
     corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
     triangles = np.concatenate([corner[:, None] + [0, 1, n + 1], corner[:, None] + [0, n + 1, n]])
-    vertices = np.column_stack([east.ravel(), north.ravel(), terrain_height(east, north).ravel()])
+    vertices = np.column_stack([east.ravel(), north.ravel(), land.height(east, north).ravel()])
     return vertices, triangles, GROUND, (1.0, 1.0, 1.0)
 
 
-def _house(house: House, rng: np.random.Generator) -> list[Part]:
+def _house(house: House, land: Land, rng: np.random.Generator) -> list[Part]:
     c, s = np.cos(np.radians(house.heading_deg)), np.sin(np.radians(house.heading_deg))
-    base = float(terrain_height(np.array(house.east), np.array(house.north)))
+    base = float(land.height(np.array(house.east), np.array(house.north)))
     a, b = house.length / 2, house.width / 2
     plan = np.array([[-a, -b], [a, -b], [a, b], [-a, b], [-a, 0], [a, 0]])
     world = plan @ [[c, s], [-s, c]] + [house.east, house.north]
@@ -203,11 +220,11 @@ def _house(house: House, rng: np.random.Generator) -> list[Part]:
     return [(vertices, np.array(walls), WALL, tuple(wall)), (vertices, np.array(roof), kind, colour)]
 
 
-def _tree(east: float, north: float, rng: np.random.Generator) -> Part:
+def _tree(east: float, north: float, land: Land, rng: np.random.Generator) -> Part:
     """A lumpy ellipsoid on the ground."""
     u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 13)[:-1], np.linspace(0.05, np.pi - 0.05, 8))
     radius = rng.uniform(1.5, 3.0) * (1 + 0.12 * rng.normal(size=u.shape))
-    z = terrain_height(np.array(east), np.array(north)) + 3.5 + 1.4 * radius * np.cos(v)
+    z = land.height(np.array(east), np.array(north)) + 3.5 + 1.4 * radius * np.cos(v)
     vertices = np.stack([east + radius * np.sin(v) * np.cos(u), north + radius * np.sin(v) * np.sin(u), z], axis=-1)
     rows, columns = np.meshgrid(np.arange(7), np.arange(12), indexing="ij")
     here, right = (12 * rows + columns).ravel(), (12 * rows + (columns + 1) % 12).ravel()
@@ -215,13 +232,13 @@ def _tree(east: float, north: float, rng: np.random.Generator) -> Part:
     return vertices.reshape(-1, 3), triangles, TREE, (0.22, 0.34, 0.16)
 
 
-def _cars(rng: np.random.Generator) -> list[Part]:
-    east, north, length, width = PARKING
+def _cars(land: Land, rng: np.random.Generator) -> list[Part]:
+    (east, north), (length, width) = land.parking, PARKING_M
     parts = []
     for place in rng.choice(20, 11, replace=False):
         e = east - length / 2 + 2.6 * (place % 10) + 1.5
         n = north + (width / 2 - 3) * (1 if place < 10 else -1)
-        z = float(terrain_height(np.array(e), np.array(n)))
+        z = float(land.height(np.array(e), np.array(n)))
         plan = np.array([[-0.9, -2.1], [0.9, -2.1], [0.9, 2.1], [-0.9, 2.1]]) + [e, n]
         vertices = np.column_stack([np.tile(plan, (2, 1)), [z - 0.3] * 4 + [z + 1.5] * 4])
         sides = [[k, (k + 1) % 4, 4 + (k + 1) % 4] for k in range(4)] + [[k, 4 + (k + 1) % 4, 4 + k] for k in range(4)]
@@ -230,41 +247,33 @@ def _cars(rng: np.random.Generator) -> list[Part]:
     return parts
 
 
-def _shuffled(houses: tuple[House, ...], rng: np.random.Generator) -> tuple[House, ...]:
-    """Other houses in about the same places."""
-    return tuple(
-        House(
-            h.east + rng.uniform(-3, 3),
-            h.north + rng.uniform(-3, 3),
-            h.length * rng.uniform(0.7, 1.1),
-            h.width * rng.uniform(0.7, 1.1),
-            rng.uniform(0, 180),
-            rng.uniform(4, 8),
-            rng.choice([0.0, 2.5]),
-        )
-        for h in houses
-    )
-
-
-def _outer_houses(rng: np.random.Generator, count: int) -> list[House]:
+def _random_houses(rng: np.random.Generator, land: Land, count: int) -> list[House]:
+    """Away from the road, the cars and each other; at seed 0 also from the middle, where `HOUSES` are."""
     houses: list[House] = []
     while len(houses) < count:
-        e, n = rng.uniform(-120, 120, 2)
-        clear = max(abs(e) / 52, abs(n) / 46) > 1 and abs(n - float(road_north(np.array(e)))) > 14
+        e, n = (float(x) for x in rng.uniform(-100, 100, 2))
+        clear = land != Land() or max(abs(e) / 52, abs(n) / 46) > 1
+        clear &= land.off_road(np.array(e), np.array(n)) > 14 and not _on_parking(land, e, n, 12)
         if clear and all(np.hypot(e - h.east, n - h.north) > 24 for h in houses):
             size = rng.uniform(9, 18), rng.uniform(8, 12)
             houses.append(House(e, n, *size, rng.uniform(0, 180), rng.uniform(4, 8), rng.choice([0.0, 2.5])))
     return houses
 
 
-def _free_places(rng: np.random.Generator, houses: tuple[House, ...], count: int) -> list[tuple[float, float]]:
+def _on_parking(land: Land, east: float, north: float, margin: float) -> bool:
+    x, y = abs(east - land.parking[0]), abs(north - land.parking[1])
+    return bool(x < PARKING_M[0] / 2 + margin and y < PARKING_M[1] / 2 + margin)
+
+
+def _free_places(
+    rng: np.random.Generator, land: Land, houses: tuple[House, ...], count: int
+) -> list[tuple[float, float]]:
     places: list[tuple[float, float]] = []
     while len(places) < count:
         e, n = rng.uniform(-100, 100, 2)
-        on_parking = abs(e - PARKING[0]) < PARKING[2] / 2 + 3 and abs(n - PARKING[1]) < PARKING[3] / 2 + 3
-        on_road = abs(n - float(road_north(np.array(e)))) < 7
+        on_road = land.off_road(np.array(e), np.array(n)) < 7
         in_house = any(np.hypot(e - h.east, n - h.north) < h.length / 2 + 5 for h in houses)
-        if not (on_parking or on_road or in_house):
+        if not (_on_parking(land, e, n, 3) or on_road or in_house):
             places.append((float(e), float(n)))
     return places
 
@@ -281,14 +290,15 @@ def _textures(seed: int) -> tuple[Array32, Array32]:
     soil = _noise(rng, n, 12.0)
     share = 1 / (1 + np.exp(-4 * soil))[..., None]
     ground = share * np.float32([0.26, 0.36, 0.16]) + (1 - share) * np.float32([0.42, 0.36, 0.26])
-    off_road = np.abs(north - road_north(east).astype(np.float32))
+    land = Land.of(seed)
+    off_road = land.off_road(east, north)
     ground[off_road < 5.2] = (0.5, 0.5, 0.48)
     ground[off_road < 3.6] = (0.24, 0.24, 0.26)
     ground[(off_road < 0.15) & (np.mod(east, 6) < 3)] = (0.85, 0.85, 0.85)
-    x, y = east - PARKING[0], north - PARKING[1]
-    lot = (np.abs(x) < PARKING[2] / 2) & (np.abs(y) < PARKING[3] / 2)
+    x, y = east - land.parking[0], north - land.parking[1]
+    lot = (np.abs(x) < PARKING_M[0] / 2) & (np.abs(y) < PARKING_M[1] / 2)
     ground[lot] = (0.32, 0.31, 0.3)
-    ground[lot & (np.mod(x + PARKING[2] / 2 + 1.1, 2.6) < 0.15) & (np.abs(y) > 3)] = (0.85, 0.85, 0.85)
+    ground[lot & (np.mod(x + PARKING_M[0] / 2 + 1.1, 2.6) < 0.15) & (np.abs(y) > 3)] = (0.85, 0.85, 0.85)
     return np.asarray(ground * detail[..., None], np.float32), np.asarray(detail, np.float32)
 
 

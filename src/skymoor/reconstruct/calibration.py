@@ -44,7 +44,8 @@ def adjust(
     )
     options.ceres.solver_options.max_num_iterations = max_iterations
     options.ceres.solver_options.function_tolerance = 1e-6
-    pycolmap.bundle_adjustment(reconstruction, options)
+    # The adjuster itself, not pycolmap.bundle_adjustment: that one writes on stderr whatever the log level is.
+    pycolmap.create_default_bundle_adjuster(options, _all_images(reconstruction), reconstruction).solve()
     reconstruction.update_point_3d_errors()
     return rms_px(reconstruction)
 
@@ -110,11 +111,7 @@ def thin(reconstruction: pycolmap.Reconstruction, max_points: int = 2500) -> pyc
 def focal_sigma(reconstruction: pycolmap.Reconstruction) -> float:
     """Relative standard deviation of the focal length by the adjustment's own covariance (optimistic), NaN unknown."""
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
-    config = pycolmap.BundleAdjustmentConfig()
-    for image_id in reconstruction.reg_image_ids():
-        config.add_image(image_id)
-    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, reconstruction)
+    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, _all_images(reconstruction), reconstruction)
     wanted = pycolmap.BACovarianceOptions(params=pycolmap.BACovarianceOptionsParams.ALL)
     covariance = pycolmap.estimate_ba_covariance(wanted, reconstruction, adjuster)
     if covariance is None:
@@ -125,6 +122,15 @@ def focal_sigma(reconstruction: pycolmap.Reconstruction) -> float:
         if block is not None:
             sigmas.append(float(np.sqrt(block[0, 0])) / camera.mean_focal_length())
     return float(np.median(sigmas)) * rms_px(reconstruction) if sigmas else float("nan")
+
+
+def _all_images(reconstruction: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:
+    """Everything is adjusted; two cameras hold the frame."""
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in reconstruction.reg_image_ids():
+        config.add_image(image_id)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    return config
 
 
 def with_focal(component: Component, ratio: float, sigma: float) -> Component:

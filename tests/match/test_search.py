@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of known heading, scale and place must be found in a reference of another day; others must not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pictures import GRID, another_day, seen_through, without_heights
+from scene import Scene, make_scene
+from skymoor.match import Placement, search_placements
+from skymoor.match.search import alike, distinct
+from skymoor.types import Raster
+
+
+@pytest.fixture(scope="module")
+def reference() -> Raster:
+    return another_day(seen_through(make_scene(cars_seed=1, sun_deg=(205.0, 40.0)), lambda px: px, GRID.shape))
+
+
+def placed(scene: Scene, truth: Placement, shape: tuple[int, int]) -> Raster:
+    matrix = truth.matrix(shape)
+    raster = seen_through(scene, lambda px: px @ matrix[:, :2].T + matrix[:, 2], shape)
+    assert raster.height is not None
+    return Raster(raster.rgb, raster.mask, (raster.height / np.float32(truth.scale)).astype(np.float32))
+
+
+CASES = {
+    "fine pixels": (Placement(0.6, np.radians(33.0), (110.3, 105.6), 0.0), (140, 180)),
+    "coarse pixels": (Placement(1.3, np.radians(200.0), (125.5, 90.2), 0.0), (70, 80)),
+    "finest pixels": (Placement(0.45, np.radians(301.7), (140.0, 115.0), 0.0), (160, 180)),
+}
+
+
+@pytest.mark.parametrize(
+    ("case", "heights"),
+    [("fine pixels", True), ("fine pixels", False), ("coarse pixels", True), ("finest pixels", True)],
+)
+def test_a_picture_is_found(reference: Raster, case: str, heights: bool) -> None:
+    truth, shape = CASES[case]
+    a, b = placed(make_scene(), truth, shape), reference
+    if not heights:
+        a, b = without_heights(a), without_heights(b)
+    steps: list[tuple[int, int]] = []
+    found = search_placements(
+        a,
+        b,
+        min_scale=truth.scale / 1.2,
+        max_scale=truth.scale * 1.3,
+        progress=lambda done, of: steps.append((done, of)),
+    )
+    first = found[0]
+    turn = (first.heading_rad - truth.heading_rad + np.pi) % (2 * np.pi) - np.pi
+    assert abs(np.degrees(turn)) < 1.0
+    assert abs(first.scale / truth.scale - 1) < 0.015
+    assert np.hypot(*(np.array(first.place) - truth.place)) < 0.5
+    # Far above chance, and above the second place; not above what agreement of every pixel would give.
+    assert 40 < first.score < np.sqrt(a.mask.sum() * truth.scale**2)
+    assert all(first.score > 1.6 * other.score for other in found[1:])
+    assert all(x.score >= y.score for x, y in zip(found[:-1], found[1:], strict=True))
+    assert steps[-1][0] == steps[-1][1] and [done for done, _ in steps] == sorted(done for done, _ in steps)
+
+
+def test_another_place_scores_like_chance(reference: Raster) -> None:
+    truth, shape = CASES["fine pixels"]
+    found = search_placements(placed(make_scene(3), truth, shape), reference, min_scale=0.45, max_scale=0.8)
+    assert 8 < found[0].score < 30
+    assert found[0].score < 1.3 * found[1].score
+
+
+def test_a_picture_larger_than_the_reference_has_no_place(reference: Raster) -> None:
+    truth, shape = CASES["fine pixels"]
+    a = placed(make_scene(), truth, shape)
+    assert search_placements(a, reference, min_scale=6.0, max_scale=9.0) == []
+
+
+def test_matrix_is_the_definition() -> None:
+    placement = Placement(0.5, np.radians(90), (40.0, 30.0), 1.0)
+    matrix = placement.matrix((60, 80))
+    # The middle lies at the place; u of the picture runs along v of the reference.
+    np.testing.assert_allclose(matrix @ [40, 30, 1], [40, 30])
+    np.testing.assert_allclose(matrix @ [41, 30, 1], [40, 30.5], atol=1e-12)
+    np.testing.assert_allclose(matrix @ [40, 31, 1], [39.5, 30], atol=1e-12)
+
+
+def test_distinct_keeps_the_best_of_neighbours() -> None:
+    shape = (100, 100)
+    here = Placement(1.0, 0.0, (50.0, 50.0), 10.0)
+    nearly = Placement(1.05, np.radians(-5.0 + 360), (52.0, 49.0), 12.0)
+    turned = Placement(1.0, np.radians(40), (50.0, 50.0), 8.0)
+    away = Placement(1.0, 0.0, (80.0, 50.0), 11.0)
+    larger = Placement(1.3, 0.0, (50.0, 50.0), 9.0)
+    assert distinct([here, nearly, turned, away, larger], shape) == [nearly, away, larger, turned]
+    assert alike(here, nearly, shape) and not alike(here, turned, shape)
