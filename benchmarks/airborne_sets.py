@@ -56,7 +56,10 @@ def report(name: str, out: Path, status: int) -> None:
         show(rows.get(component["component"], {}))
     stages = summary["stages"]
     print("  seconds: " + ", ".join(f"{s['name']} {s['seconds']:.0f}" for s in stages))
-    print(f"  total {sum(s['seconds'] for s in stages):.0f} s, peak {max(s['peak_mib'] for s in stages):.0f} MiB", flush=True)
+    print(
+        f"  total {sum(s['seconds'] for s in stages):.0f} s, peak {max(s['peak_mib'] for s in stages):.0f} MiB",
+        flush=True,
+    )
 
 
 def show(row: dict[str, Any]) -> None:
@@ -65,7 +68,9 @@ def show(row: dict[str, Any]) -> None:
     names = ("mean_absolute_m", "mean_horizontal_m", "mean_vertical_m", "mean_relative_m", "rmse_procrustes_m")
     print("    " + ", ".join(f"{name} {row[name]:.2f}" for name in names))
     share = 100 * row["mean_relative_m"] / row["standoff_m"]
-    print(f"    standoff {row['standoff_m']:.0f} m, relative {share:.2f} % of it, M-dist {row['mahalanobis_of_mean']:.2f}")
+    print(
+        f"    standoff {row['standoff_m']:.0f} m, relative {share:.2f} % of it, M-dist {row['mahalanobis_of_mean']:.2f}"
+    )
     print(f"    predicted CE90 {row['predicted_ce90_m']:.2f} m, LE90 {row['predicted_le90_m']:.2f} m")
 
 

@@ -3,8 +3,8 @@
 
     python benchmarks/square_kilometre.py RUN SITE.toml [OTHER_ORTHO OTHER_DSM]
 
-The site's reference is put at a random place into a mosaic of mirrored copies of itself (which no rotation makes equal to
-it) and of another place. RUN is a finished run of the site.
+The site's reference is put at a random place into a mosaic of mirrored copies of itself (which no rotation makes equal
+to it) and of another place. RUN is a finished run of the site.
 """
 
 from __future__ import annotations

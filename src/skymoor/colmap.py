@@ -13,7 +13,6 @@ from skymoor.geometry.camera import Intrinsics
 from skymoor.geometry.similarity import Similarity
 from skymoor.types import Array, Camera, Component, Image
 
-
 # COLMAP reports every step on stderr; what a person needs to know comes from skymoor itself.
 pycolmap.logging.minloglevel = int(pycolmap.logging.Level.ERROR)
 

@@ -15,10 +15,11 @@ from skymoor.arguments import Evaluate, Run
 from skymoor.config import Site, load_site, parse_option, site_from_arguments, with_options
 from skymoor.errors import InputError
 from skymoor.geo.frame import EnuFrame
-from skymoor.pipeline import Options, register_airborne
+from skymoor.pipeline import Job, register_airborne
 from skymoor.products import NOT_REGISTERED, write_products
 from skymoor.reference import read_reference
 from skymoor.screen import Screen, evaluation_table, summary_table
+from skymoor.settings import Options
 from skymoor.store import Store, has_metadata, open_photos, photos_fingerprint, read_cameras_csv, read_truth_csv
 
 
@@ -42,7 +43,7 @@ def run(command: Run) -> bool:
             ],
             code=["skymoor.reference", "skymoor.geo"],
         )
-        placed = register_airborne(photos, reference, options, store, seed=command.seed, track=screen.track)
+        placed = register_airborne(Job(photos, reference, options, store, command.seed, screen.track))
         others = {f"ground{k}": _names(folder, site.root) for k, folder in enumerate(site.ground)}
         summary = write_products(
             "airborne", placed, photos.names, others, site, reference, options, command.seed, store

@@ -7,9 +7,8 @@ Every call is a stage: `store` keeps its result, so that the same command again 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 import skymoor.densify
@@ -21,76 +20,44 @@ import skymoor.orient
 import skymoor.reconstruct
 import skymoor.register
 import skymoor.render
-from skymoor.densify import SgmDepth
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
-from skymoor.lift import LiftOptions, lift
-from skymoor.match import CyclicOptions, Placement, SearchOptions, StructuralMatcher, match_placed, search_placements
-from skymoor.match.align import lay
-from skymoor.model import MeshBuilder
-from skymoor.orient import OrientOptions, estimate_gravity, level_from_gravity
-from skymoor.reconstruct import ReconstructOptions, reconstruct, with_focal
-from skymoor.register import (
-    RegisterOptions,
-    Relief,
-    ReliefOptions,
-    compare_relief,
-    focal_correction,
-    judge,
-    register,
-)
-from skymoor.render import RenderOptions, nadir_view
+from skymoor.lift import lift
+from skymoor.match import Placement, match_placed, search_placements
+from skymoor.orient import estimate_gravity, level_from_gravity
+from skymoor.overlay import lay_on_reference, nadir_raster, reference_raster
+from skymoor.reconstruct import reconstruct, with_focal
+from skymoor.register import Relief, compare_relief, focal_correction, judge, register
+from skymoor.render import nadir_view
+from skymoor.settings import Options
 from skymoor.store import Store
 from skymoor.types import (
-    Array,
-    Array32,
     Camera,
     Component,
+    DepthMap,
     Gravity,
     Matches3D,
     Photos,
     Progress,
-    Raster,
     Reference,
     Registration,
     Render,
 )
 
-Tracker = Callable[[str], Progress]
-"""Gives the progress callback of a stage, by its name."""
 
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What one set of photos is placed with. The stages "photos" and "reference" must have run in `store`.
 
-@dataclass(frozen=True)
-class MatchOptions:
-    """From the nadir render to pixels of the reference.
-
-    Attributes:
-        min_height_m, max_height_m: flying heights that are searched: the scale of a levelled model.
-        candidates: placements that are matched densely; the one with most independent inliers is believed.
+    `track` gives the progress callback of a stage, by its name.
     """
 
-    min_height_m: float = 20.0
-    max_height_m: float = 200.0
-    candidates: int = 3
-    min_height_confidence: float = 0.2
-    search: SearchOptions = field(default_factory=SearchOptions)
-    dense: StructuralMatcher = field(default_factory=StructuralMatcher)
-    cyclic: CyclicOptions = field(default_factory=CyclicOptions)
-
-
-@dataclass(frozen=True)
-class Options:
-    """Every option of every stage, by its dotted name."""
-
-    reconstruct: ReconstructOptions = field(default_factory=ReconstructOptions)
-    orient: OrientOptions = field(default_factory=OrientOptions)
-    densify: SgmDepth = field(default_factory=SgmDepth)
-    model: MeshBuilder = field(default_factory=MeshBuilder)
-    render: RenderOptions = field(default_factory=RenderOptions)
-    match: MatchOptions = field(default_factory=MatchOptions)
-    lift: LiftOptions = field(default_factory=LiftOptions)
-    register: RegisterOptions = field(default_factory=RegisterOptions)
-    relief: ReliefOptions = field(default_factory=ReliefOptions)
+    photos: Photos
+    reference: Reference
+    options: Options
+    store: Store
+    seed: int
+    track: Callable[[str], Progress]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,138 +81,120 @@ class Placed:
         return [camera.moved(found.enu_from_level) for camera in self.component.cameras]
 
 
-def register_airborne(
-    photos: Photos, reference: Reference, options: Options, store: Store, *, seed: int, track: Tracker
-) -> list[Placed]:
-    """Every component of a set of airborne photos, placed on Earth or refused.
-
-    The stages "photos" and "reference" must have run in `store`.
-    """
-    components = store.stage(
+def register_airborne(job: Job) -> list[Placed]:
+    """Every component of a set of airborne photos, placed on Earth or refused."""
+    options = job.options.reconstruct
+    components = job.store.stage(
         "reconstruct",
-        lambda: reconstruct(photos, options.reconstruct, seed=seed, progress=track("structure from motion")),
-        options=(options.reconstruct, seed),
+        lambda: reconstruct(job.photos, options, seed=job.seed, progress=job.track("structure from motion")),
+        options=(options, job.seed),
         after=["photos"],
         code=[skymoor.reconstruct, "skymoor.colmap"],
     )
-    return [
-        register_component(f"airborne-{k}", component, photos, reference, options, store, seed=seed, track=track)
-        for k, component in enumerate(components)
-    ]
+    return [register_component(f"airborne-{k}", component, job) for k, component in enumerate(components)]
 
 
-def register_component(
-    name: str,
-    component: Component,
-    photos: Photos,
-    reference: Reference,
-    options: Options,
-    store: Store,
-    *,
-    seed: int,
-    track: Tracker,
-) -> Placed:
+def register_component(name: str, component: Component, job: Job) -> Placed:
     """Place one component; once more where the reference's relief corrects its focal length."""
-
-    def attempt(attempt_name: str, tried: Component) -> Placed:
-        try:
-            return _place(attempt_name, tried, photos, reference, options, store, seed=seed, track=track)
-        except DegenerateGeometry as error:
-            refused = Registration(registered=False, reason=str(error), enu_from_level=None)
-            return Placed(tried, Similarity.identity(), refused)
-
-    first = attempt(name, component)
-    correction = focal_correction(first.relief, component.calibration, options.relief)
-    if not first.registration.registered or correction is None:
+    first = _place(name, component, job, source="reconstruct")
+    correction = focal_correction(first.relief, component.calibration, job.options.relief)
+    if correction is None:
         return first
-    second = attempt(f"{name}-refocused", with_focal(component, *correction))
+    refocused = job.store.stage(
+        f"{name}.refocus",
+        lambda: with_focal(component, *correction),
+        options=correction,
+        after=[f"{name}.register"],
+        code=[skymoor.reconstruct, "skymoor.colmap"],
+    )
+    second = _place(f"{name}-refocused", refocused, job, source=f"{name}.refocus")
     return second if second.registration.registered else first
 
 
-def _place(
-    name: str,
-    component: Component,
-    photos: Photos,
-    reference: Reference,
-    options: Options,
-    store: Store,
-    *,
-    seed: int,
-    track: Tracker,
-) -> Placed:
-    rng = np.random.default_rng(seed)
-    gravity = estimate_gravity(component, options.orient, rng=rng)
-    level_from_sfm = level_from_gravity(component, gravity)
-    level = component.moved(level_from_sfm)
-    refocused = component.calibration.relief_ratio if component.calibration else None
-
-    depths = store.stage(
-        f"{name}.depths",
-        lambda: options.densify(level, photos, progress=track("dense depth")),
-        options=(options.densify, options.orient, seed, refocused),
-        after=["photos", "reconstruct"],
-        code=[skymoor.densify, skymoor.orient, skymoor.geometry],
-    )
-    if not depths:
-        raise DegenerateGeometry("no photo has a partner to measure depth with")
-
-    def render_nadir() -> Render:
-        model = options.model(level, depths, progress=track("mesh"))
-        view = nadir_view(model.surface_points, model.pixel, options.render)
-        return model.render(view, progress=track("nadir view"))
-
-    render = store.stage(
-        f"{name}.nadir",
-        render_nadir,
-        options=(options.model, options.render),
-        after=[f"{name}.depths"],
-        code=[skymoor.model, skymoor.render],
-    )
-    picture, map_picture = nadir_raster(render, options.match), reference_raster(reference)
-    px_per_metre = render.view.pixel / reference.grid.pixel_m
-    placements = store.stage(
-        f"{name}.search",
-        lambda: search_placements(
-            picture,
-            map_picture,
-            min_scale=options.match.min_height_m * px_per_metre,
-            max_scale=options.match.max_height_m * px_per_metre,
-            options=options.match.search,
-            progress=track("search"),
-        ),
-        options=(options.match.search, options.match.min_height_m, options.match.max_height_m),
-        after=["reference", f"{name}.nadir"],
-        code=[skymoor.match],
-    )
+def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
+    """Place a component, which the stage `source` made."""
+    options, reference = job.options, job.reference
+    try:
+        gravity = estimate_gravity(component, options.orient, rng=np.random.default_rng(job.seed))
+        level_from_sfm = level_from_gravity(component, gravity)
+        level = component.moved(level_from_sfm)
+        render = _render_nadir(name, level, _densify(name, level, job, source), job)
+    except DegenerateGeometry as error:
+        refused = Registration(registered=False, reason=str(error), enu_from_level=None)
+        return Placed(component, Similarity.identity(), refused)
+    placements = _search(name, render, job)
     if not placements:
         reason = "the reference is too small for the model at any height that was searched"
         refused = Registration(registered=False, reason=reason, enu_from_level=None)
         return Placed(level, level_from_sfm, refused, gravity, render)
-
-    registration, matches = store.stage(
+    registration, matches = job.store.stage(
         f"{name}.register",
-        lambda: _register_best(placements, render, picture, map_picture, reference, options, rng),
-        options=(options.match, options.lift, options.register, seed),
+        lambda: _register_best(placements, render, job),
+        options=(options.match, options.lift, options.register, job.seed),
         after=["reference", f"{name}.search"],
         code=[skymoor.match, skymoor.lift, skymoor.register, skymoor.geometry],
     )
     relief = None
     if registration.registered:
-        _, up = lay_on_reference(render, registration, reference, options.match)
+        _, up = lay_on_reference(render, registration, reference, options.match.min_height_confidence)
         relief = compare_relief(up, reference.height, reference.grid.pixel_m, options.relief)
     return Placed(level, level_from_sfm, registration, gravity, render, matches, relief)
 
 
-def _register_best(
-    placements: Sequence[Placement],
-    render: Render,
-    picture: Raster,
-    map_picture: Raster,
-    reference: Reference,
-    options: Options,
-    rng: np.random.Generator,
-) -> tuple[Registration, Matches3D]:
+def _densify(name: str, level: Component, job: Job, source: str) -> list[DepthMap]:
+    options = job.options
+    depths = job.store.stage(
+        f"{name}.depths",
+        lambda: options.densify(level, job.photos, progress=job.track("dense depth")),
+        options=(options.densify, options.orient, job.seed),
+        after=["photos", source],
+        code=[skymoor.densify, skymoor.orient, skymoor.geometry],
+    )
+    if not depths:
+        raise DegenerateGeometry("no photo has a partner to measure depth with")
+    return depths
+
+
+def _render_nadir(name: str, level: Component, depths: Sequence[DepthMap], job: Job) -> Render:
+    options = job.options
+
+    def compute() -> Render:
+        model = options.model(level, depths, progress=job.track("mesh"))
+        view = nadir_view(model.surface_points, model.pixel, options.render)
+        return model.render(view, progress=job.track("nadir view"))
+
+    return job.store.stage(
+        f"{name}.nadir",
+        compute,
+        options=(options.model, options.render),
+        after=[f"{name}.depths"],
+        code=[skymoor.model, skymoor.render],
+    )
+
+
+def _search(name: str, render: Render, job: Job) -> list[Placement]:
+    match = job.options.match
+    px_per_metre = render.view.pixel / job.reference.grid.pixel_m
+    return job.store.stage(
+        f"{name}.search",
+        lambda: search_placements(
+            nadir_raster(render, match.min_height_confidence),
+            reference_raster(job.reference),
+            min_scale=match.min_height_m * px_per_metre,
+            max_scale=match.max_height_m * px_per_metre,
+            options=match.search,
+            progress=job.track("search"),
+        ),
+        options=(match.search, match.min_height_m, match.max_height_m, match.min_height_confidence),
+        after=["reference", f"{name}.nadir"],
+        code=[skymoor.match, "skymoor.overlay"],
+    )
+
+
+def _register_best(placements: Sequence[Placement], render: Render, job: Job) -> tuple[Registration, Matches3D]:
     """Match densely at the best placements, and believe the one that most independent places confirm."""
+    options, reference, rng = job.options, job.reference, np.random.default_rng(job.seed)
+    picture, map_picture = nadir_raster(render, options.match.min_height_confidence), reference_raster(reference)
     results: list[tuple[Registration, Matches3D]] = []
     for k, placement in enumerate(placements[: options.match.candidates]):
         b_from_a = placement.matrix(picture.mask.shape)
@@ -256,45 +205,3 @@ def _register_best(
         scores = [placement.score, *(other.score for j, other in enumerate(placements) if j != k)]
         results.append((judge(registration, scores, len(matches_2d), options.register), matches))
     return max(results, key=lambda result: (result[0].registered, result[0].diagnostics.get("cells", 0.0)))
-
-
-def nadir_raster(render: Render, options: MatchOptions) -> Raster:
-    """The render as a matcher takes it: heights only where they are believed."""
-    heights = render.xyz[..., 2] / np.float32(render.view.pixel)
-    believed = render.confidence >= options.min_height_confidence
-    return Raster(render.rgb, np.isfinite(heights), np.where(believed, heights, np.nan).astype(np.float32))
-
-
-def reference_raster(reference: Reference) -> Raster:
-    """The reference as a matcher takes it."""
-    return Raster(reference.rgb, reference.mask, (reference.height / reference.grid.pixel_m).astype(np.float32))
-
-
-def lay_on_reference(
-    render: Render, registration: Registration, reference: Reference, options: MatchOptions
-) -> tuple[Raster, Array32]:
-    """The registered nadir render on the reference's grid, and its believed heights, ENU up in metres."""
-    if registration.enu_from_level is None:
-        raise DegenerateGeometry("the model is not registered")
-    b_from_a = reference_from_render(render, registration, reference)
-    # `lay` keeps heights in pixels: give it metres in pixels of the render, and it returns them in the grid's.
-    metres_per_px = registration.enu_from_level.scale * render.view.pixel
-    up = registration.enu_from_level.apply(render.xyz.astype(np.float64))[..., 2] / metres_per_px
-    picture = nadir_raster(render, options)
-    known = picture.height is not None and np.isfinite(picture.height)
-    picture = Raster(picture.rgb, picture.mask, np.where(known, up, np.nan).astype(np.float32))
-    height, width = reference.grid.shape
-    laid = lay(picture, b_from_a, (width, height))
-    assert laid.height is not None
-    return laid, np.asarray(laid.height * np.float32(reference.grid.pixel_m), dtype=np.float32)
-
-
-def reference_from_render(render: Render, registration: Registration, reference: Reference) -> Array:
-    """(2, 3) affine from the render's pixels to the reference's, at ground level."""
-    if registration.enu_from_level is None:
-        raise DegenerateGeometry("the model is not registered")
-    corners = np.array([[0.0, 0.0], [render.view.shape[1], 0.0], [0.0, render.view.shape[0]]])
-    view = np.column_stack([[render.view.x0, render.view.y0] + corners * render.view.pixel, np.zeros(3)])
-    level = view @ render.view.view_from_level
-    placed = reference.grid.px_from_enu(registration.enu_from_level.apply(level)[:, :2])
-    return np.asarray(cv2.getAffineTransform(corners.astype(np.float32), placed.astype(np.float32)))

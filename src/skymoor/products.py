@@ -26,9 +26,11 @@ from skymoor.export import (
 from skymoor.export.cameras import CameraRow
 from skymoor.geo.accuracy import ce90_m, le90_m
 from skymoor.geometry.similarity import Similarity
-from skymoor.pipeline import MatchOptions, Options, Placed, lay_on_reference
+from skymoor.overlay import lay_on_reference
+from skymoor.pipeline import Placed
 from skymoor.register import camera_covariances
 from skymoor.report import confidence_picture, height_picture, match_picture, overlay_picture, residual_picture
+from skymoor.settings import MatchOptions, Options
 from skymoor.store import Store
 from skymoor.types import Array, Reference
 
@@ -214,7 +216,7 @@ def _write_pictures(name: str, item: Placed, reference: Reference, options: Matc
     if found.enu_from_level is None or found.residuals_m is None:
         return
     pixel_m = reference.grid.pixel_m
-    laid, _ = lay_on_reference(render, found, reference, options)
+    laid, _ = lay_on_reference(render, found, reference, options.min_height_confidence)
     store.write_png(f"matches/{name}_overlay.png", overlay_picture(laid, reference.rgb, pixel_m=pixel_m))
     residuals = residual_picture(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
     store.write_png(f"matches/{name}_residuals.png", residuals)
@@ -230,7 +232,7 @@ def _write_rasters(placed: Sequence[Placed], reference: Reference, options: Matc
         believed = item.render.confidence >= options.min_height_confidence
         clouds.append(item.registration.enu_from_level.apply(item.render.xyz[believed].astype(np.float64)))
         colours.append(item.render.rgb[believed])
-        laid, up = lay_on_reference(item.render, item.registration, reference, options)
+        laid, up = lay_on_reference(item.render, item.registration, reference, options.min_height_confidence)
         fill = np.isnan(height) & np.isfinite(up)
         rgb[fill], height[fill] = laid.rgb[fill], up[fill]
     names = ("pointcloud.laz", "ortho.tif", "dsm.tif")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two pictures of one place, from different worlds, to pairs of pixels."""
 
-from skymoor.match.align import match_placed
+from skymoor.match.align import lay, match_placed
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.search import Placement, SearchOptions, search_placements
@@ -14,6 +14,7 @@ __all__ = [
     "SearchOptions",
     "StructuralMatcher",
     "cyclic_matches",
+    "lay",
     "match_placed",
     "search_placements",
 ]

@@ -73,7 +73,9 @@ def _colour(rgb: Image, mask: Mask, options: ChannelOptions) -> tuple[Array32, A
     log = np.log(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) + np.float32(16))
     gu, gv = _gradient(_fill(log, mask), options.smooth_px)
     magnitude = np.hypot(gu, gv) * inner
-    compressed = np.tanh(magnitude / (1.5 * _local_rms(magnitude, inner, options.local_px) + 1e-6))
+    # The floor is below a step of one grey level: without it a blown-out roof would show the channels of
+    # rounding errors.
+    compressed = np.tanh(magnitude / (1.5 * _local_rms(magnitude, inner, options.local_px) + 1e-3))
     c, s = gu / (magnitude + 1e-9), gv / (magnitude + 1e-9)
     c2, s2 = c * c - s * s, 2 * c * s
     c4, s4 = c2 * c2 - s2 * s2, 2 * c2 * s2
@@ -88,7 +90,7 @@ def _height(height: Array32, options: ChannelOptions) -> tuple[Array32, Array32]
     slope = np.hypot(gu, gv)
     gain = np.tanh(slope / options.slope) / (slope + 1e-9) * inner * options.height_weight
     stack = [_blur(np.asarray(g * gain, dtype=np.float32), options.pool_px) for g in (gu, gv)]
-    return np.stack(stack), inner
+    return np.stack(stack) * inner, inner
 
 
 def _scaled(stack: Array32, inner: Array32, local_px: float) -> Array32:

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nadir render and reference as a matcher takes them, and one laid on the other."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from skymoor.errors import DegenerateGeometry
+from skymoor.match import lay
+from skymoor.types import Array, Array32, Raster, Reference, Registration, Render
+
+
+def nadir_raster(render: Render, min_confidence: float) -> Raster:
+    """The render as a matcher takes it: heights only where they are believed."""
+    heights = render.xyz[..., 2] / np.float32(render.view.pixel)
+    believed = render.confidence >= min_confidence
+    return Raster(render.rgb, np.isfinite(heights), np.where(believed, heights, np.nan).astype(np.float32))
+
+
+def reference_raster(reference: Reference) -> Raster:
+    """The reference as a matcher takes it."""
+    return Raster(reference.rgb, reference.mask, (reference.height / reference.grid.pixel_m).astype(np.float32))
+
+
+def lay_on_reference(
+    render: Render, registration: Registration, reference: Reference, min_confidence: float
+) -> tuple[Raster, Array32]:
+    """The registered nadir render on the reference's grid, and its believed heights, ENU up in metres."""
+    if registration.enu_from_level is None:
+        raise DegenerateGeometry("the model is not registered")
+    b_from_a = reference_from_render(render, registration, reference)
+    # `lay` keeps heights in pixels: give it metres in pixels of the render, and it returns them in the grid's.
+    metres_per_px = registration.enu_from_level.scale * render.view.pixel
+    up = registration.enu_from_level.apply(render.xyz.astype(np.float64))[..., 2] / metres_per_px
+    picture = nadir_raster(render, min_confidence)
+    known = picture.height is not None and np.isfinite(picture.height)
+    picture = Raster(picture.rgb, picture.mask, np.where(known, up, np.nan).astype(np.float32))
+    height, width = reference.grid.shape
+    laid = lay(picture, b_from_a, (width, height))
+    assert laid.height is not None
+    return laid, np.asarray(laid.height * np.float32(reference.grid.pixel_m), dtype=np.float32)
+
+
+def reference_from_render(render: Render, registration: Registration, reference: Reference) -> Array:
+    """(2, 3) affine from the render's pixels to the reference's, at ground level."""
+    if registration.enu_from_level is None:
+        raise DegenerateGeometry("the model is not registered")
+    corners = np.array([[0.0, 0.0], [render.view.shape[1], 0.0], [0.0, render.view.shape[0]]])
+    view = np.column_stack([[render.view.x0, render.view.y0] + corners * render.view.pixel, np.zeros(3)])
+    level = view @ render.view.view_from_level
+    placed = reference.grid.px_from_enu(registration.enu_from_level.apply(level)[:, :2])
+    return np.asarray(cv2.getAffineTransform(corners.astype(np.float32), placed.astype(np.float32)))

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every option of every stage, by its dotted name: each stage owns its own, here they meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from skymoor.densify import SgmDepth
+from skymoor.lift import LiftOptions
+from skymoor.match import CyclicOptions, SearchOptions, StructuralMatcher
+from skymoor.model import MeshBuilder
+from skymoor.orient import OrientOptions
+from skymoor.reconstruct import ReconstructOptions
+from skymoor.register import RegisterOptions, ReliefOptions
+from skymoor.render import RenderOptions
+
+
+@dataclass(frozen=True)
+class MatchOptions:
+    """From the nadir render to pixels of the reference.
+
+    Attributes:
+        min_height_m, max_height_m: flying heights that are searched: the scale of a levelled model.
+        candidates: placements that are matched densely; the one with most independent inliers is believed.
+        min_height_confidence: heights of the render below it are neither matched nor compared nor written.
+    """
+
+    min_height_m: float = 20.0
+    max_height_m: float = 200.0
+    candidates: int = 3
+    min_height_confidence: float = 0.2
+    search: SearchOptions = field(default_factory=SearchOptions)
+    dense: StructuralMatcher = field(default_factory=StructuralMatcher)
+    cyclic: CyclicOptions = field(default_factory=CyclicOptions)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Every option of every stage, by its dotted name."""
+
+    reconstruct: ReconstructOptions = field(default_factory=ReconstructOptions)
+    orient: OrientOptions = field(default_factory=OrientOptions)
+    densify: SgmDepth = field(default_factory=SgmDepth)
+    model: MeshBuilder = field(default_factory=MeshBuilder)
+    render: RenderOptions = field(default_factory=RenderOptions)
+    match: MatchOptions = field(default_factory=MatchOptions)
+    lift: LiftOptions = field(default_factory=LiftOptions)
+    register: RegisterOptions = field(default_factory=RegisterOptions)
+    relief: ReliefOptions = field(default_factory=ReliefOptions)
