@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 import pytest
 
 from flight import Flight, make_flight
@@ -29,6 +30,12 @@ def shared(factory: pytest.TempPathFactory, name: str, make: Callable[[], T]) ->
             file.write_bytes(pickle.dumps(make()))
     value: T = pickle.loads(file.read_bytes())
     return value
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """The same numbers for every test."""
+    return np.random.default_rng(7)
 
 
 @pytest.fixture(scope="session")

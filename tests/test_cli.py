@@ -148,7 +148,7 @@ def test_misspelt_option(option: str, site: Path, capsys: pytest.CaptureFixture[
 
 def test_misspelt_key_in_site_toml(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (site / "site.toml").write_text(SITE.replace("ortho =", "orto ="))
-    assert main(["run", str(site / "site.toml")]) == 2
+    assert main(["run", str(site / "site.toml"), "--out", str(site / "out")]) == 2
     line = capsys.readouterr().err
     assert "orto" in line and "ortho" in line and "site.toml" in line
 

@@ -10,18 +10,18 @@ from typing import Annotated
 import tyro
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Run:
     """Place a site's photos on the Earth."""
 
     site: Annotated[Path | None, tyro.conf.Positional] = None
     """site.toml; or say --airborne, --ortho and --dsm."""
-    out: Path = Path("out")
+    out: Path
     """Folder for the results; the same command again goes on where it stopped."""
     airborne: Path | None = None
     """Folder of airborne photos."""
-    ground: tuple[Path, ...] = ()
-    """Folders of ground photos (not placed by this version)."""
+    ground: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    """Folder of ground photos (not placed by this version); may be repeated."""
     ortho: Path | None = None
     """Satellite orthophoto, any CRS that GDAL reads."""
     dsm: Path | None = None
