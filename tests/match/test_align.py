@@ -13,7 +13,7 @@ from pictures import GRID, another_day, noise_picture, seen_through
 from scene import make_scene
 from skymoor.match import CyclicOptions, Placement, StructuralMatcher, match_placed
 from skymoor.match.align import lay
-from skymoor.types import Matches2D, Raster, Warp
+from skymoor.types import Raster, Warp
 
 Array = NDArray[np.float64]
 IDENTITY = np.eye(2, 3)
@@ -60,9 +60,10 @@ class TestLay:
         # Heights are linear, so averaging changes nothing; they come in pixels of the laid picture.
         error = laid.height[rows, columns] / scale - px_a @ [1, 2]
         assert np.abs(np.median(error)) < 0.02
-        assert np.percentile(np.abs(error), 98) < 0.35
+        # OpenCV rounds places to 1/32 of a pixel, and heights climb by 3 across one.
+        assert np.percentile(np.abs(error), 98) * scale < 0.2
         colours = laid.rgb[rows, columns, :2].astype(float) + 0.5
-        assert np.abs(np.median(colours - px_a, axis=0)).max() < 0.6
+        assert np.abs(np.median(colours - px_a, axis=0)).max() < 1.0  # rounded twice
 
     def test_holes_stay_holes(self) -> None:
         a = ramp((60, 60))
@@ -144,10 +145,3 @@ def _recorder(seen: list[tuple[Raster, Raster]]) -> Callable[[Raster, Raster], W
         )
 
     return match
-
-
-def test_a_picture_beside_the_reference_has_no_matches() -> None:
-    a, b = ramp((60, 80)), ramp((100, 120))
-    away = np.column_stack([np.eye(2), [500.0, 500.0]])
-    matches, _ = match_placed(a, b, away, StructuralMatcher(), rng=np.random.default_rng(0))
-    assert isinstance(matches, Matches2D) and len(matches) == 0

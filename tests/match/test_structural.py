@@ -51,9 +51,8 @@ def first() -> Raster:
 
 @pytest.fixture(scope="module")
 def second() -> Raster:
-    """Another day, seen through the swell."""
-    scene = make_scene(cars_seed=1, sun_deg=(205.0, 40.0))
-    return another_day(seen_through(scene, lambda px: moved(px) + [40, 30], SHAPE))
+    """Seen through the swell, with other radiometry and noise."""
+    return another_day(seen_through(make_scene(), lambda px: moved(px) + [40, 30], SHAPE))
 
 
 def test_a_picture_on_itself_has_no_flow(first: Raster) -> None:
@@ -90,18 +89,25 @@ def test_a_smooth_warp_comes_back_both_ways(first: Raster, second: Raster, heigh
         sure = inner(confidence) > 0.3
         assert sure.mean() > 0.75
         error = inner(flow - truth)[sure]
-        assert np.abs(np.median(error, axis=0)).max() < 0.05
+        # A window of 7 pixels flattens this swell by up to 0.04 pixels, to one side.
+        assert np.abs(np.median(error, axis=0)).max() < 0.08
         length = np.linalg.norm(error, axis=1)
         assert 0.01 < np.median(length) < 0.25
         assert np.percentile(length, 95) < 0.9
 
 
-def test_what_is_confident_is_nearer_the_truth(first: Raster, second: Raster) -> None:
-    warp = StructuralMatcher()(first, second)
-    error = np.linalg.norm(inner(warp.a_from_b - moved(centres(SHAPE))), axis=-1)
-    confidence = inner(warp.confidence_b)
-    low, high = (error[confidence < np.quantile(confidence, 0.15)], error[confidence > np.quantile(confidence, 0.5)])
-    assert low.mean() > 1.3 * high.mean()
+def test_another_sun_and_other_cars_leave_a_tenth_of_a_pixel(first: Raster) -> None:
+    scene = make_scene(cars_seed=1, sun_deg=(205.0, 40.0))
+    other = another_day(seen_through(scene, lambda px: moved(px) + [40, 30], SHAPE))
+    warp = StructuralMatcher()(first, other)
+    sure = inner(warp.confidence_b) > 0.3
+    assert sure.mean() > 0.7
+    error = inner(warp.a_from_b - moved(centres(SHAPE)))
+    assert np.abs(np.median(error[sure], axis=0)).max() < 0.15
+    length, confidence = np.linalg.norm(error, axis=-1), inner(warp.confidence_b)
+    assert np.median(length[sure]) < 0.4
+    doubtful, certain = (length[confidence < np.quantile(confidence, 0.15)], length[confidence > np.median(confidence)])
+    assert doubtful.mean() > 1.3 * certain.mean()
 
 
 def test_another_place_is_not_confident(first: Raster) -> None:
@@ -116,7 +122,7 @@ def test_unknown_and_flat_parts_are_not_confident(first: Raster) -> None:
     mask[:, 120:] = False
     rgb[90:, :60] = 128
     warp = StructuralMatcher()(Raster(rgb, mask), Raster(rgb, mask))
-    assert warp.confidence_a[:, 150:].max() < 0.05
+    assert not warp.confidence_a[:, 120:].any() and not warp.confidence_b[:, 120:].any()
     assert np.median(warp.confidence_a[115:140, 15:40]) < 0.2
     assert np.median(warp.confidence_a[20:70, 20:90]) > 0.8
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A planted similarity is found among noise and outliers; nonsense is not."""
+"""Planted places must come back with an honest accuracy; scrambled matches must be refused."""
 
 from __future__ import annotations
 
@@ -7,116 +7,194 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from comparators import assert_similarity_near
+from flight import LENS, look_at
+from skymoor.errors import TooFewMatches
 from skymoor.geo.frame import EnuFrame
 from skymoor.geo.grid import Grid
-from skymoor.geometry.camera import Intrinsics
+from skymoor.geometry.adjust import point_covariance
 from skymoor.geometry.similarity import Similarity
 from skymoor.register import RegisterOptions, camera_covariances, judge, register
 from skymoor.register.airborne import independent_places
-from skymoor.types import Calibration, Camera, Matches2D, Matches3D, Reference
+from skymoor.types import Calibration, Camera, Matches2D, Matches3D, Reference, Registration
 
-TRUTH = Similarity(
-    63.0, Rotation.from_euler("zyx", [130.0, 0.4, -0.6], degrees=True).as_matrix(), np.array([25.0, -40.0, 3.0])
-)
-NOISE_M = np.array([0.15, 0.15, 0.3])
-
-
-def planted(rng: np.random.Generator, n: int = 1200, outliers: float = 0.4) -> Matches3D:
-    level = rng.uniform([-1.2, -1.0, 0.0], [1.2, 1.0, 0.12], (n, 3))
-    enu = TRUTH.apply(level) + rng.normal(size=(n, 3)) * NOISE_M
-    wrong = rng.random(n) < outliers
-    enu[wrong] += rng.uniform(-25, 25, (int(wrong.sum()), 3))
-    return Matches3D(level, enu, Matches2D(level[:, :2], enu[:, :2], np.ones(n)))
+Array = NDArray[np.float64]
+TILT = Rotation.from_euler("xy", [1.2, -0.9], degrees=True)
+TRUTH = Similarity(63.0, (TILT * Rotation.from_euler("z", 130, degrees=True)).as_matrix(), np.array([12.0, -25.0, 3.0]))
+SIGMA_M = np.array([0.2, 0.2, 0.35])
+SCORES = [100.0, 22.0, 20.0]
 
 
-def test_planted_similarity_is_recovered_and_believed(rng: np.random.Generator) -> None:
-    found = judge(register(planted(rng), 0.5, rng=rng), [120.0, 30.0], 3000)
-    assert found.registered and found.reason == ""
-    assert found.enu_from_level is not None and found.covariance is not None and found.inliers is not None
-    assert_similarity_near(found.enu_from_level, TRUTH, rot_deg=0.1, trans_m=0.1, scale_ppm=1500)
-    assert 0.55 < found.inlier_ratio < 0.68
-    assert 0.25 < found.rmse_m < 0.5
-    assert found.tilt_deg == pytest.approx(0.72, abs=0.1)
+def planted(n: int = 800, *, outliers: float = 0.0, seed: int = 0, sigma_m: Array = SIGMA_M) -> Matches3D:
+    """Matches over 90 by 90 m with up to 8 m of relief; a share of them belongs to other places."""
+    rng = np.random.default_rng(seed)
+    xyz_level = rng.uniform([-0.7, -0.7, -0.01], [0.7, 0.7, 0.12], (n, 3))
+    xyz_enu = TRUTH.apply(xyz_level) + rng.normal(size=(n, 3)) * sigma_m
+    wrong = rng.permutation(n)[: round(outliers * n)]
+    xyz_enu[wrong] = rng.uniform([-60, -80, -2], [80, 40, 10], (len(wrong), 3))
+    return Matches3D(xyz_level, xyz_enu, Matches2D(np.zeros((n, 2)), np.zeros((n, 2)), np.ones(n)))
 
 
-def test_covariance_counts_places_not_matches(rng: np.random.Generator) -> None:
-    """The same matches given four times over are no more certain."""
-    once = planted(rng, n=800, outliers=0)
-    index = np.tile(np.arange(800), 4)
-    often = Matches3D(once.xyz_level[index], once.xyz_enu[index], once.pixels.take(index))
-    sigma = [
-        np.sqrt(np.trace(found.covariance[4:, 4:]))
-        for found in (register(m, 0.5, rng=rng) for m in (once, often))
-        if found.covariance is not None
-    ]
-    assert len(sigma) == 2 and 0.9 < sigma[1] / sigma[0] < 1.1
-    errors = []
-    for seed in range(20):
-        found = register(planted(np.random.default_rng(seed), n=800, outliers=0), 0.5, rng=rng)
-        assert found.enu_from_level is not None
-        errors.append(np.linalg.norm(found.enu_from_level.apply([[0, 0, 0.05]]) - TRUTH.apply([[0, 0, 0.05]])))
-    assert 0.2 * sigma[0] < np.sqrt(np.mean(np.square(errors))) < 1.2 * sigma[0]
+def registered(matches: Matches3D, seed: int = 0, options: RegisterOptions | None = None) -> Registration:
+    return register(matches, 0.5, options, rng=np.random.default_rng(seed))
 
 
-def test_scrambled_matches_are_refused(rng: np.random.Generator) -> None:
-    given = planted(rng)
-    scrambled = replace(given, xyz_enu=rng.permutation(given.xyz_enu))
-    found = judge(register(scrambled, 0.5, rng=rng), [120.0, 30.0], 3000)
-    assert not found.registered and "agree" in found.reason
+@pytest.mark.parametrize("outliers", [0.0, 0.4, 0.7])
+def test_a_planted_place_comes_back(outliers: float) -> None:
+    matches = planted(outliers=outliers, seed=1)
+    found = registered(matches)
+    assert found.registered and found.enu_from_level is not None
+    assert_similarity_near(found.enu_from_level, TRUTH, rot_deg=0.3, trans_m=0.15, scale_ppm=3000)
+    assert found.n_matches == 800
+    # Noise beyond the gate of 1 m is rare; a few outliers lie within it by chance.
+    assert (1 - outliers) * 0.93 < found.inlier_ratio < (1 - outliers) * 1.0 + 0.02
+    assert 0.8 * np.linalg.norm(SIGMA_M) < found.rmse_m < 1.1 * np.linalg.norm(SIGMA_M)
+    assert found.tilt_deg == pytest.approx(1.5, abs=0.25)
+    judged = judge(found, SCORES, 1000)
+    assert judged.registered and judged.reason == ""
+    assert judged.diagnostics["search_score"] == 100 and judged.diagnostics["second_score"] == 22
 
 
-@pytest.mark.parametrize("n", [0, 1, 2])
-def test_too_few_matches_are_a_refusal_with_a_reason(n: int, rng: np.random.Generator) -> None:
-    given = planted(rng, n=20, outliers=0)
-    few = Matches3D(given.xyz_level[:n], given.xyz_enu[:n], given.pixels.take(np.arange(n)))
-    found = judge(register(few, 0.5, rng=rng), [120.0], n)
-    assert not found.registered and found.reason
+def test_residuals_are_estimate_minus_truth() -> None:
+    matches = planted(seed=2)
+    found = registered(matches)
+    assert found.enu_from_level is not None and found.residuals_m is not None and found.inliers is not None
+    np.testing.assert_allclose(found.residuals_m, found.enu_from_level.apply(matches.xyz_level) - matches.xyz_enu)
+    assert found.inliers.sum() == found.n_inliers
+    # The gate: two pixels of the reference or a metre, whichever is more.
+    assert np.linalg.norm(found.residuals_m[found.inliers], axis=1).max() <= 1.0
+    wide = register(matches, 2.0, rng=np.random.default_rng(0))
+    assert wide.n_inliers > found.n_inliers
 
 
-@pytest.mark.parametrize(
-    ("scores", "change", "word"),
-    [
-        ([32.0, 31.0], {}, "chance"),
-        ([60.0, 55.0], {}, "another place"),
-        ([120.0, 30.0], {"n_inliers": 20}, "matches agree"),
-        ([120.0, 30.0], {"diagnostics": {"cells": 4.0}}, "places only"),
-        ([120.0, 30.0], {"tilt_deg": 25.0}, "tilt"),
-    ],
-)
-def test_each_reason_to_refuse(
-    scores: list[float], change: dict[str, object], word: str, rng: np.random.Generator
-) -> None:
-    good = register(planted(rng), 0.5, rng=rng)
-    assert judge(good, [120.0, 30.0], 3000).registered
-    refused = judge(replace(good, **change), scores, 3000)  # type: ignore[arg-type]
-    assert not refused.registered and word in refused.reason
+def test_scrambled_matches_are_refused() -> None:
+    for seed in range(2):
+        matches = planted(400, seed=seed)
+        order = np.random.default_rng(seed).permutation(400)
+        scrambled = replace(matches, xyz_enu=matches.xyz_enu[order])
+        assert not judge(registered(scrambled), SCORES, 1000).registered
+
+
+def test_few_or_degenerate_matches_give_a_reason() -> None:
+    for n in (0, 1):
+        found = registered(planted(n))
+        assert not found.registered and "no transform" in found.reason and found.n_matches == n
+        assert not judge(found, SCORES, 1000).registered
+    matches = planted(50)
+    pole = replace(matches, xyz_level=matches.xyz_level * [0, 0, 1])
+    assert not registered(pole).registered
+
+
+def test_the_same_seed_gives_the_same_answer() -> None:
+    a, b = (registered(planted(outliers=0.5), seed=3) for _ in range(2))
+    assert a.enu_from_level is not None and b.enu_from_level is not None
+    np.testing.assert_array_equal(a.enu_from_level.matrix(), b.enu_from_level.matrix())
+
+
+def test_predicted_accuracy_covers_the_error_of_many_trials() -> None:
+    """One match per independent place: then nothing repeats, and the prediction is the textbook one."""
+    options = RegisterOptions(correlation_m=1e-3)
+    where = TRUTH.apply([[0.0, 0.0, 1.0], [0.6, -0.5, 1.0]])
+    errors, predicted = [], []
+    for seed in range(40):
+        found = registered(planted(300, seed=seed), seed=seed, options=options)
+        assert found.enu_from_level is not None and found.covariance is not None and found.centroid_enu is not None
+        at = found.enu_from_level.apply(TRUTH.inverse().apply(where))
+        errors.append(at - where)
+        predicted.append(point_covariance(found.covariance, found.centroid_enu, where))
+    mean_predicted = np.sqrt(np.mean([np.diagonal(p, axis1=1, axis2=2) for p in predicted], axis=0))
+    actual = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert ((actual / mean_predicted > 0.6) & (actual / mean_predicted < 1.5)).all()
+    assert (actual < 0.3).all()
+
+
+def test_matches_that_repeat_each_other_are_not_worth_more() -> None:
+    once = planted(300, seed=4)
+    again = Matches3D(
+        np.tile(once.xyz_level, (10, 1)),
+        np.tile(once.xyz_enu, (10, 1)),
+        Matches2D(np.zeros((3000, 2)), np.zeros((3000, 2)), np.ones(3000)),
+    )
+    few, many = registered(once), registered(again)
+    assert few.covariance is not None and many.covariance is not None
+    ratio = np.sqrt(np.diag(many.covariance) / np.diag(few.covariance))
+    assert ((ratio > 0.8) & (ratio < 1.25)).all()
 
 
 def test_independent_places() -> None:
-    points = np.array([[1.0, 1, 0], [2, 2, 5], [11, 1, 0], [-1, 1, 0]])
+    points = np.array([[0.1, 0.1, 0], [9.0, 9.0, 50], [10.1, 0.1, 0], [-0.1, 0.1, 0]])
     assert independent_places(points, 10.0) == 3
     assert independent_places(np.zeros((0, 3)), 10.0) == 0
 
 
-def test_camera_accuracy_adds_reference_registration_and_focal_length(rng: np.random.Generator) -> None:
-    found = register(planted(rng), 0.5, RegisterOptions(), rng=rng)
-    grid = Grid(-100, 100, 0.5, (4, 4))
-    reference = Reference(
-        EnuFrame(50, 8, 100),
-        grid,
-        np.zeros((4, 4, 3), np.uint8),
-        np.ones((4, 4), bool),
-        np.zeros((4, 4), np.float32),
-        np.diag([1.0, 1.0, 4.0]),
+class TestJudge:
+    GOOD = registered(planted(seed=6))
+
+    @pytest.mark.parametrize(
+        ("change", "scores", "word"),
+        [
+            ({}, [39.0, 10.0], "scores 39"),
+            ({}, [39.0], "scores 39"),
+            ({}, [100.0, 90.0], "another place"),
+            ({}, [60.0, 100.0], "another place"),
+            ({"n_inliers": 49, "n_matches": 100}, SCORES, "49 matches"),
+            ({"n_inliers": 150}, SCORES, "19%"),
+            ({"diagnostics": {"cells": 9.0}}, SCORES, "9 places"),
+            ({"tilt_deg": 10.5}, SCORES, "10.5 degrees"),
+        ],
+    )
+    def test_each_reason(self, change: dict[str, object], scores: list[float], word: str) -> None:
+        judged = judge(replace(self.GOOD, **change), scores, 1000)  # type: ignore[arg-type]
+        assert not judged.registered and word in judged.reason
+
+    def test_good_is_good_and_one_place_needs_no_second(self) -> None:
+        assert judge(self.GOOD, SCORES, 1000).registered
+        assert judge(self.GOOD, [100.0], 1000).registered
+
+    def test_thresholds_are_options(self) -> None:
+        assert not judge(self.GOOD, SCORES, 1000, RegisterOptions(min_score=101.0)).registered
+        assert judge(self.GOOD, [30.0, 25.0], 9, RegisterOptions(min_score=20.0, min_score_margin=1.1)).registered
+
+
+class TestCameraCovariances:
+    REFERENCE = Reference(
+        EnuFrame(47.0, 8.0, 400.0),
+        Grid(0.0, 0.0, 0.5, (10, 10)),
+        np.zeros((10, 10, 3), np.uint8),
+        np.ones((10, 10), bool),
+        np.zeros((10, 10), np.float32),
+        np.diag([1.7, 1.7, 5.4]),
         0.5,
     )
-    camera = Camera("a.jpg", Intrinsics(800, 600, 500, 500, 400, 300), Similarity(1.0, np.eye(3), [0, 0, -63.0]))
-    sharp = camera_covariances(found, [camera], reference, Calibration(True, 500, 0.0, 1.0, 1.0, False))[0]
-    vague = camera_covariances(found, [camera], reference, Calibration(True, 500, 0.0, 0.95, 1.05, True))[0]
-    assert 1.0 < sharp[0, 0] < 1.2 and 4.0 < sharp[2, 2] < 4.3
-    assert found.centroid_enu is not None
-    above = 63.0 - found.centroid_enu[2]
-    assert vague[2, 2] - sharp[2, 2] == pytest.approx((0.05 * above) ** 2, rel=1e-6)
+
+    def cameras(self) -> list[Camera]:
+        centres = ([12.0, -25.0, 63.0], [12.0, -25.0, 103.0])
+        return [Camera("", LENS, look_at(np.array(c), np.zeros(3))) for c in centres]
+
+    def test_reference_and_registration_add_up(self) -> None:
+        found = registered(planted(seed=7))
+        covariances = camera_covariances(found, self.cameras(), self.REFERENCE, None)
+        assert covariances.shape == (2, 3, 3)
+        own = covariances - self.REFERENCE.covariance
+        assert (np.linalg.eigvalsh(own) > 0).all()
+        assert (np.sqrt(np.diagonal(own, axis1=1, axis2=2)) < 0.4).all()
+        np.testing.assert_allclose(covariances, covariances.transpose(0, 2, 1))
+
+    def test_an_uncertain_focal_length_is_height(self) -> None:
+        found = registered(planted(seed=7))
+        assert found.centroid_enu is not None
+        calibration = Calibration(True, 392.0, 0.0001, 0.95, 1.05, True)
+        without, with_focal = (
+            camera_covariances(found, self.cameras(), self.REFERENCE, c) for c in (None, calibration)
+        )
+        added = np.sqrt((with_focal - without)[:, 2, 2])
+        np.testing.assert_allclose(added, 0.05 * (np.array([63.0, 103.0]) - found.centroid_enu[2]), rtol=1e-6)
+        np.testing.assert_allclose(with_focal[:, :2], without[:, :2])
+
+    def test_an_unregistered_model_has_none(self) -> None:
+        nothing = Registration(registered=False, reason="", enu_from_level=None)
+        with pytest.raises(TooFewMatches):
+            camera_covariances(nothing, self.cameras(), self.REFERENCE, None)

@@ -8,6 +8,7 @@ lens distortion is removed in the same resampling.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,6 +21,8 @@ from skymoor.densify.neighbours import depth_range, stereo_partners
 from skymoor.densify.protocol import DepthEstimator
 from skymoor.geometry.camera import Intrinsics
 from skymoor.types import Array, Array32, Camera, Component, DepthMap, Image, Mask, Photos, Progress, no_progress
+
+Views = Callable[[int], tuple[Camera, Image]]
 
 MAX_DISPARITIES = 320
 MAX_STRETCH = 3.0
@@ -66,13 +69,13 @@ class SgmDepth:
                 progress(done + 1, len(component.cameras))
         return maps
 
-    def _depth_map(self, component: Component, index: int, partners: list[int], view: object) -> DepthMap:
-        camera, image = view(index)  # type: ignore[operator]
+    def _depth_map(self, component: Component, index: int, partners: list[int], view: Views) -> DepthMap:
+        camera, image = view(index)
         near, far = depth_range(component, index)
         pinhole = camera.intrinsics.undistorted()
         depths, sigmas = [], []
         for partner in partners:
-            other, other_image = view(partner)  # type: ignore[operator]
+            other, other_image = view(partner)
             depth, sigma = pair_depth(camera, image, other, other_image, near, far, self.noise_grey)
             depths.append(depth)
             sigmas.append(sigma)

@@ -41,8 +41,10 @@ class StructuralMatcher:
         if a.mask.shape != b.mask.shape:
             raise ValueError("the structural matcher compares pictures of one size")
         forward, backward = self._costs(make_channels(a, self.channels), make_channels(b, self.channels))
-        shape = a.mask.shape
-        return Warp(*self._flow(forward, shape), *self._flow(backward, shape))
+        flow_a, sure_a = self._flow(forward, a.mask.shape)
+        flow_b, sure_b = self._flow(backward, b.mask.shape)
+        # Windows reach beyond the masks; what they find there belongs to no pixel.
+        return Warp(flow_a, sure_a * a.mask, flow_b, sure_b * b.mask)
 
     def _costs(self, a: Channels, b: Channels) -> tuple[Array32, Array32]:
         """Agreement of each grid pixel with each displacement, (h/g, w/g, side, side): of a in b, and of b in a."""
