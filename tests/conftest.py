@@ -1,35 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures that are slow to make: made once per session, also where pytest-xdist runs several workers."""
+"""Fixtures for the whole session."""
 
 from __future__ import annotations
 
-import fcntl
-import os
-import pickle
-from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import pytest
 
 from flight import Flight, make_flight
 from scene import make_scene
-from sitefiles import write_site
-
-T = TypeVar("T")
-
-
-def shared(factory: pytest.TempPathFactory, name: str, make: Callable[[], T]) -> T:
-    """What `make` gives, from the first worker that asks for it."""
-    root = factory.getbasetemp()
-    file = (root.parent if "PYTEST_XDIST_WORKER" in os.environ else root) / f"{name}.pkl"
-    with file.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not file.exists():
-            file.write_bytes(pickle.dumps(make()))
-    value: T = pickle.loads(file.read_bytes())
-    return value
+from sharing import shared
+from sitefiles import BIAS_M, write_site
 
 
 @pytest.fixture
@@ -56,9 +38,6 @@ def site_dir(tmp_path_factory: pytest.TempPathFactory, flight: Flight) -> Path:
         return folder
 
     return shared(tmp_path_factory, "site", make)
-
-
-BIAS_M = (0.4, -0.3, 0.5)
 
 
 def _photos() -> tuple[object, object]:

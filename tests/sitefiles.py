@@ -25,6 +25,7 @@ CRS = "EPSG:25833"  # UTM 33, whose grid is turned by 1.5 degrees against north 
 PIXEL_M = 0.5
 MIDDLE_M = (16.0, -8.0)  # of the reference in the site's frame: the photos are not in its middle
 SIZE_PX = (340, 400)  # rows, columns
+BIAS_M = (0.4, -0.3, 0.5)  # of the reference of the tests' site, east, north, up; its covariance allows for it
 COVARIANCE = np.diag([0.5, 0.5, 0.8])
 
 

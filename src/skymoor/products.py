@@ -63,6 +63,7 @@ def write_products(
     rows = camera_rows(set_name, placed, images, reference)
     for name, names in other_images.items():
         rows += unplaced_cameras(name, None, names)
+    store.remove("evaluation.json")  # of the cameras of a former run
     store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
     store.write_json("cameras.geojson", cameras_geojson(rows))
     for k, item in enumerate(placed):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from flight import Flight, true_component, true_depth
 from scene import PLAIN_ROOF
 from skymoor.densify import SgmDepth
+from skymoor.densify._sgm import _Rectified, _rectify, _to_camera, _warp
+from skymoor.densify.neighbours import depth_range
 from skymoor.types import Camera, DepthMap, Photos
 
 Array = NDArray[np.float64]
@@ -92,6 +95,73 @@ def test_a_roof_without_texture_is_uncertain(maps: list[DepthMap], truths: list[
         if known.sum() > 200:
             rest = np.isfinite(depth_map.depth) & ~plain
             assert np.median(depth_map.sigma[known]) > 20 * np.median(depth_map.sigma[rest])
+
+
+@pytest.mark.parametrize(("one", "other"), [(0, 1), (1, 0), (16, 17), (5, 4)])
+class TestRectification:
+    """With true disparities in place of measured ones: no pixel convention may shift anything."""
+
+    def pair(self, flight: Flight, one: int, other: int) -> tuple[_Rectified, Array, Array]:
+        """The common image plane, its pixel centres (h, w, 2), and the true disparity beyond `d_min`."""
+        a, b = flight.cameras[one], flight.cameras[other]
+        rect = _rectify(a, b, *depth_range(true_component(flight), one))
+        assert rect is not None
+        w, h = rect.size
+        centres = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), axis=-1)
+        rays = np.concatenate([(centres - [rect.cx, rect.cy]) / rect.focal, np.ones((h, w, 1))], axis=-1)
+        z, _, _ = flight.scene.cast(a.centre, rays.reshape(-1, 3) @ rect.rotation)
+        return rect, centres, rect.focal * rect.baseline / z.reshape(h, w).astype(np.float64) - rect.d_min
+
+    def test_depths_return_to_their_own_pixels(self, flight: Flight, truths: list[Array], one: int, other: int) -> None:
+        rect, _, disparity = self.pair(flight, one, other)
+        exact = disparity.astype(np.float32)
+        depth, sigma = _to_camera(exact, np.full_like(exact, 0.5), flight.cameras[one], rect)
+        error = depth - truths[one]
+        down, across = np.gradient(truths[one])
+        with np.errstate(invalid="ignore"):
+            use = (np.abs(error) < 0.006 * truths[one]) & (np.hypot(down, across) < 1.0)
+        assert use.sum() > 20_000
+        shift = np.linalg.lstsq(np.stack([across[use], down[use]], axis=1), error[use], rcond=None)[0]
+        assert np.abs(shift).max() < 0.05
+        # Half a pixel of disparity moves the depth by as much as sigma says.
+        nearer, _ = _to_camera(exact + 0.5, np.full_like(exact, 0.5), flight.cameras[one], rect)
+        assert np.median(((depth - nearer) / sigma)[use]) == pytest.approx(1.0, abs=0.05)
+
+    def test_each_pixel_shows_its_own_ray(self, flight: Flight, one: int, other: int) -> None:
+        rect, centres, _ = self.pair(flight, one, other)
+        camera = flight.cameras[one]
+        image = flight.images[camera.image]
+        warped, inside = _warp(image, camera, rect, rect.cx)
+        flat = (centres - [rect.cx, rect.cy]) / rect.focal
+        rays = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], axis=-1).reshape(-1, 3) @ rect.rotation
+        px = camera.intrinsics.px_from_cam(rays @ camera.cam_from_world.rotation.T).reshape(centres.shape) - 0.5
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        u, v = np.nan_to_num(px, nan=-9.0).astype(np.float32).transpose(2, 0, 1)
+        expected = cv2.remap(grey, u, v, cv2.INTER_LINEAR)
+        # Rounding of OpenCV's weights; half a pixel beside they differ by 6 grey levels and more.
+        assert np.abs(warped.astype(float) - expected)[inside].mean() < 1.0
+
+    def test_rows_of_both_pictures_show_the_same(self, flight: Flight, one: int, other: int) -> None:
+        rect, centres, disparity = self.pair(flight, one, other)
+        cameras = flight.cameras[one], flight.cameras[other]
+        (left, inside), (right, _) = (
+            _warp(flight.images[camera.image], camera, rect, cx)
+            for camera, cx in zip(cameras, (rect.cx, rect.cx + rect.d_min), strict=True)
+        )
+
+        def seen(du: float, dv: float) -> Array:
+            """The right picture at the true place of each pixel of the left one, and so much beside it."""
+            u, v = centres[..., 0] - disparity - 0.5 + du, centres[..., 1] - 0.5 + dv
+            return np.asarray(cv2.remap(right, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR), float)
+
+        inside[:, : round(disparity.max())] = False
+        inside &= np.abs(seen(0, 0) - left) < 30  # the rest is hidden from the right
+        for direction in ((1.0, 0.0), (0.0, 1.0)):
+            steps = np.array([-0.5, 0.0, 0.5])
+            gap = [np.mean((seen(t * direction[0], t * direction[1]) - left)[inside] ** 2) for t in steps]
+            bend, slope, _ = np.polyfit(steps, gap, 2)
+            assert bend > 0
+            assert abs(-slope / (2 * bend)) < 0.1  # where it agrees best, in pixels
 
 
 def test_smaller_maps_are_coarser_but_right(flight: Flight, truths: list[Array]) -> None:

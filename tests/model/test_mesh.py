@@ -177,6 +177,13 @@ def test_depth_maps_that_contradict_lower_the_confidence(flight: Flight, exact_m
     assert np.median(doubted.confidence[inner]) < 0.6 * np.median(honest.render.confidence[inner])
 
 
+def test_agreeing_but_uncertain_depths_are_not_believed(exact_model: MeshModel, exact: Rendered) -> None:
+    unsure = [replace(m, sigma=(0.015 * m.depth).astype(np.float32)) for m in exact_model.maps]
+    doubted = replace(exact_model, maps=tuple(unsure)).render(exact.render.view)
+    assert np.median(doubted.confidence[exact.inner]) < 0.4
+    assert np.median(exact.render.confidence[exact.inner]) > 0.9
+
+
 def test_an_oblique_view_hits_the_same_surface(flight: Flight, exact_model: MeshModel) -> None:
     tilt = np.radians(30)
     c, s = np.cos(tilt), np.sin(tilt)

@@ -115,8 +115,9 @@ def test_a_roll_that_all_cameras_share_cancels_around_the_ring() -> None:
 
 
 @pytest.mark.parametrize("turn", [SIDEWAYS, SIDEWAYS.T], ids=["left", "right"])
-def test_portrait_photos_stored_sideways_do_not_mislead(turn: Array) -> None:
-    cameras = [turned(camera, turn) if k % 3 == 0 else camera for k, camera in enumerate(ring())]
+@pytest.mark.parametrize("share", [1 / 3, 2 / 3, 1.0])
+def test_portrait_photos_stored_sideways_do_not_mislead(turn: Array, share: float) -> None:
+    cameras = [turned(camera, turn) if (k % 3) / 3 < share else camera for k, camera in enumerate(ring())]
     gravity = found(hidden(cameras, ground_points(800, relief_m=0.5, slope_deg=3.0)))
     assert error_deg(gravity) < 0.5
 

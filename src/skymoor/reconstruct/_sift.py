@@ -78,14 +78,19 @@ class SiftMatcher:
         options = pycolmap.FeatureExtractionOptions(use_gpu=False, num_threads=os.cpu_count() or 1)
         options.max_image_size = self.max_image_px
         options.sift.max_num_features = self.max_features
-        mode = pycolmap.CameraMode.PER_IMAGE  # no camera is made: the images have theirs
-        reader = pycolmap.ImageReaderOptions()
-        names = [colmap_name(i, size) for i, size in enumerate(photos.sizes)]
+        mode = pycolmap.CameraMode.SINGLE if self.shared_camera else pycolmap.CameraMode.PER_IMAGE
+        # RADIAL for a shared camera: a hundred photos determine a second term, a single photo does not.
+        reader = pycolmap.ImageReaderOptions(camera_model="RADIAL" if self.shared_camera else "SIMPLE_RADIAL")
         done = 0
-        for block in _blocks(names, 16):
-            pycolmap.extract_features(database, folder, block, mode, reader, options, pycolmap.Device.cpu)
-            done += len(block)
-            report(done)
+        for size in sorted(set(photos.sizes)):
+            names = [colmap_name(i, s) for i, s in enumerate(photos.sizes) if s == size]
+            # First all images in their order: extraction would number them as its threads finish, and a run would not
+            # be repeatable.
+            pycolmap.import_images(database, folder, mode, names, reader)
+            for block in _blocks(names, 16):
+                pycolmap.extract_features(database, folder, block, mode, reader, options, pycolmap.Device.cpu)
+                done += len(block)
+                report(done)
 
     def _pairs(self, photos: Photos, database: Path) -> list[tuple[int, int]]:
         if len(photos) <= self.exhaustive_below:

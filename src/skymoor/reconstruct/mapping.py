@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -82,7 +81,8 @@ def _mapping_options(options: ReconstructOptions, seed: int) -> pycolmap.Increme
     mapping = pycolmap.IncrementalPipelineOptions(
         min_model_size=options.min_cameras,
         extract_colors=False,
-        num_threads=os.cpu_count() or 1,
+        # Several threads race for the first pair, and the winner decides the frame: not repeatable.
+        num_threads=1,
         random_seed=seed,
     )
     mapping.mapper.random_seed = seed
