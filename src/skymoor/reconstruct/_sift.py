@@ -84,9 +84,6 @@ class SiftMatcher:
         done = 0
         for size in sorted(set(photos.sizes)):
             names = [colmap_name(i, s) for i, s in enumerate(photos.sizes) if s == size]
-            # First all images in their order: extraction would number them as its threads finish, and a run would not
-            # be repeatable.
-            pycolmap.import_images(database, folder, mode, names, reader)
             for block in _blocks(names, 16):
                 pycolmap.extract_features(database, folder, block, mode, reader, options, pycolmap.Device.cpu)
                 done += len(block)
