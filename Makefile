@@ -6,7 +6,7 @@ STAMP := $(VENV)/.stamp
 SOURCES := src tests
 
 .DEFAULT_GOAL := help
-.PHONY: help setup test check format clean
+.PHONY: help setup demo test check format clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -21,6 +21,9 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
+
+demo: $(STAMP) ## simulate a small site, place it on the Earth, compare with the truth
+	$(BIN)/skymoor demo --out skymoor-demo
 
 test: $(STAMP) ## run the tests
 	$(BIN)/python -m pytest -n 2

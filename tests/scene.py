@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skymoor.model.mesh._open3d import open3d
+from skymoor.raycast import open3d
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

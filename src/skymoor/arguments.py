@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+
+from skymoor.simulate.plan import SiteOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,3 +50,24 @@ class Evaluate:
     """Folder of the run."""
     truth: Path
     """truth.csv: image,lat,lon,height."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulate:
+    """Make a site with exact truth: photos, orthophoto, DSM, site.toml, truth.csv."""
+
+    out: Path
+    """Folder for the site; the same command again goes on where it stopped."""
+    options: tyro.conf.OmitArgPrefixes[SiteOptions] = field(default_factory=SiteOptions)
+    quiet: bool = False
+    """Plain lines in place of progress bars."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo:
+    """Simulate a small site, place its photos on the Earth, and compare with the truth."""
+
+    out: Path = Path("skymoor-demo")
+    """Folder for the site and the results; a second run shows the results at once."""
+    quiet: bool = False
+    """Plain lines in place of progress bars."""

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from skymoor import __version__
-from skymoor.arguments import Evaluate, Run
+from skymoor.arguments import Demo, Evaluate, Run, Simulate
 from skymoor.errors import InputError, SkymoorError
 
 EXIT_REGISTERED, EXIT_ERROR, EXIT_USAGE, EXIT_NOT_REGISTERED = 0, 1, 2, 3
@@ -24,7 +24,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         chosen = tyro.cli(
-            Annotated[Run, tyro.conf.subcommand("run")] | Annotated[Evaluate, tyro.conf.subcommand("evaluate")],
+            Annotated[Run, tyro.conf.subcommand("run")]
+            | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+            | Annotated[Simulate, tyro.conf.subcommand("simulate")]
+            | Annotated[Demo, tyro.conf.subcommand("demo")],
             args=arguments,
             prog="skymoor",
             description="skymoor moors floating 3D models to the Earth.",
@@ -33,8 +36,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         if isinstance(chosen, Evaluate):
             commands.evaluate(chosen)
-            return EXIT_REGISTERED
-        return EXIT_REGISTERED if commands.run(chosen) else EXIT_NOT_REGISTERED
+        elif isinstance(chosen, Simulate):
+            commands.simulate(chosen)
+        else:
+            done = commands.run(chosen) if isinstance(chosen, Run) else commands.demo(chosen)
+            return EXIT_REGISTERED if done else EXIT_NOT_REGISTERED
+        return EXIT_REGISTERED
     except InputError as error:
         print(f"skymoor: {error}", file=sys.stderr)
         return EXIT_USAGE

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import skymoor.evaluate
-from skymoor.arguments import Evaluate, Run
+from skymoor.arguments import Demo, Evaluate, Run, Simulate
 from skymoor.config import Site, load_site, parse_option, site_from_arguments, with_options
 from skymoor.errors import InputError
 from skymoor.geo.frame import EnuFrame
@@ -20,7 +20,11 @@ from skymoor.products import NOT_REGISTERED, write_products
 from skymoor.reference import read_reference
 from skymoor.screen import Screen, evaluation_table, summary_table
 from skymoor.settings import Options
+from skymoor.simulate import SiteOptions, World, write_site
 from skymoor.store import Store, has_metadata, open_photos, photos_fingerprint, read_cameras_csv, read_truth_csv
+
+# Small enough for a few minutes on two cores, large enough for every step to have its work.
+DEMO = SiteOptions(seed=1, radius_m=55.0, airborne=26, groups=0, security=0, photo_width=640, reference_width_m=220.0)
 
 
 def run(command: Run) -> bool:
@@ -71,6 +75,26 @@ def evaluate(command: Evaluate) -> None:
     with Screen(plain=True) as screen, Store.open(command.run) as store:
         store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})
         screen.show(evaluation_table(rows))
+
+
+def simulate(command: Simulate) -> None:
+    """`skymoor simulate`."""
+    with Screen(plain=command.quiet) as screen:
+        write_site(World(command.options), command.out, progress=screen.track("simulated site"))
+        screen.note(f"{command.out / 'site.toml'}: the site; what is true of it stands in truth.csv and truth.json")
+
+
+def demo(command: Demo) -> bool:
+    """`skymoor demo`; returns whether everything was registered."""
+    site, result = command.out / "site", command.out / "result"
+    simulate(Simulate(out=site, options=DEMO, quiet=command.quiet))
+    registered = run(Run(site=site / "site.toml", out=result, quiet=command.quiet))
+    evaluate(Evaluate(run=result, truth=site / "truth.csv"))
+    with Screen(plain=True) as screen:
+        screen.note(
+            f"look at {result / 'renders'} and {result / 'matches'}; all figures are in {result / 'summary.json'}"
+        )
+    return registered
 
 
 def _site(command: Run) -> Site:

@@ -168,7 +168,7 @@ def _render_nadir(name: str, level: Component, depths: Sequence[DepthMap], job: 
         compute,
         options=(options.model, options.render),
         after=[f"{name}.depths"],
-        code=[skymoor.model, skymoor.render],
+        code=[skymoor.model, skymoor.render, "skymoor.raycast"],
     )
 
 

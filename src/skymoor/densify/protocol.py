@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a dense stereo engine is asked."""
+"""What a dense stereo engine is asked, and one that looks at a single photo."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
-from skymoor.types import Component, DepthMap, Photos, Progress
+from skymoor.types import Array32, Component, DepthMap, Image, Photos, Progress
 
 
 class DepthEstimator(Protocol):
@@ -13,3 +13,10 @@ class DepthEstimator(Protocol):
 
     def __call__(self, component: Component, photos: Photos, *, progress: Progress) -> list[DepthMap]:
         """One depth map per camera that has partners to measure with."""
+
+
+class MonocularDepth(Protocol):
+    """Depth from a single photo, as far as one can tell."""
+
+    def __call__(self, image: Image) -> Array32:
+        """Relative depth (h, w) of an image (h, w, 3): larger is farther; scale and zero are unknown."""

@@ -1,31 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Open3D's volume and ray caster, behind two functions; imported late because it takes seconds."""
+"""Open3D's volume, behind one function."""
 
 from __future__ import annotations
 
-import ctypes
-import os
 from collections.abc import Sequence
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skymoor.errors import BackendUnavailable, DegenerateGeometry
+from skymoor.errors import DegenerateGeometry
+from skymoor.raycast import open3d
 from skymoor.types import Array32, DepthMap, Progress
-
-
-def open3d() -> ModuleType:
-    """Import Open3D; its wheel wants a libusb that few machines have, so ours comes from a package."""
-    try:
-        import libusb_package
-
-        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-        import open3d as module
-    except (ImportError, OSError) as error:
-        raise BackendUnavailable(f"Open3D does not load ({error}): pip install open3d-cpu libusb-package") from error
-    return module
 
 
 def fuse_mesh(
@@ -68,22 +53,3 @@ def fuse_mesh(
     if "positions" not in mesh.vertex or "indices" not in mesh.triangle or not len(mesh.triangle.indices):
         raise DegenerateGeometry("the depth maps hold no common surface")
     return mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy().astype(np.int32)
-
-
-class RayCaster:
-    """Embree, through Open3D."""
-
-    def __init__(self, vertices: Array32, triangles: NDArray[np.int32]) -> None:
-        o3d = open3d()
-        self._tensor: Any = o3d.core.Tensor
-        self._scene: Any = o3d.t.geometry.RaycastingScene(nthreads=os.cpu_count() or 0)
-        self._scene.add_triangles(
-            self._tensor(np.ascontiguousarray(vertices, np.float32)),
-            self._tensor(np.ascontiguousarray(triangles, np.uint32)),
-        )
-
-    def cast(self, origins: Array32, directions: Array32) -> Array32:
-        """Distance (...,) along each ray in units of its direction, infinite where it hits nothing."""
-        rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=-1)
-        hits = self._scene.cast_rays(self._tensor(np.ascontiguousarray(rays, np.float32)))
-        return np.asarray(hits["t_hit"].numpy(), dtype=np.float32)

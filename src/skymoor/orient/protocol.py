@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the orientation asks of an engine that knows what things are."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from skymoor.types import Image, Mask
+
+
+class GroundLabeler(Protocol):
+    """Finds the ground in a photo."""
+
+    def __call__(self, image: Image) -> Mask:
+        """Whether each pixel (h, w) of an image (h, w, 3) shows ground: soil, grass, pavement or water."""

@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where things stand: roads first, then buildings along them, car parks, trees; nothing on top of another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skymoor.simulate.blocks import BLOCKS, Block
+from skymoor.simulate.land import Land, make_land
+from skymoor.simulate.mesh import rectangle, stream
+from skymoor.simulate.plan import Array, Building, SiteOptions, Strip, Yard
+
+MIN_EXTENT_M = 260.0  # oblique photos look further than the site
+CELL_M = 0.5
+GROUPS_APART_M = 45.0
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What stands where.
+
+    `buildings` are modelled in full and lie within the radius; `distractors` fill the rest up to `extent_m`.
+    `walked` names the buildings that groups of ground photos go round. `trees` (n, 4): east, north, height, crown
+    radius. `props` are (kind, east, north, heading) of what stands outdoors for good.
+    """
+
+    land: Land
+    extent_m: float
+    buildings: tuple[Building, ...]
+    distractors: tuple[Building, ...]
+    strips: tuple[Strip, ...]
+    yards: tuple[Yard, ...]
+    trees: Array
+    props: tuple[tuple[str, float, float, float], ...]
+    walked: tuple[str, ...]
+    barren: float  # how much of the ground is gravel and soil; 0 is a lawn, 1 a yard
+
+    @property
+    def water_up(self) -> float | None:
+        """Level of the pond."""
+        return self.land.water_up
+
+
+def make_plan(options: SiteOptions) -> Plan:
+    """The plan of a site."""
+    extent = max(MIN_EXTENT_M, 0.53 * options.reference_width_m)
+    land = make_land(options.preset, options.seed, options.radius_m)
+    ground = Occupied(extent)
+    strips = _roads(options, extent)
+    for strip in strips:
+        ground.take_line(strip.line, strip.width_m + 5.0)
+    buildings, yards = _core(options, land, ground, strips)
+    walked = _walked(buildings, options.groups, land)
+    outer, outer_yards = _surroundings(options, land, ground, strips, extent)
+    trees = _trees(options, land, ground, extent, [b for b in buildings if b.name in walked])
+    props = _props(options, land, ground)
+    barren = 0.75 if options.preset == "industrial" else 0.0
+    return Plan(land, extent, buildings, outer, strips, (*yards, *outer_yards), trees, props, walked, barren)
+
+
+class Occupied:
+    """A raster of what is taken."""
+
+    def __init__(self, extent_m: float) -> None:
+        self._extent = extent_m
+        side = int(2 * extent_m / CELL_M)
+        self._mask = np.zeros((side, side), dtype=np.uint8)
+
+    def free(self, outline: ArrayLike) -> bool:
+        """Whether nothing stands on a polygon (k, 2), and all of it lies in the raster."""
+        px = self._px(outline)
+        low, high = px.min(axis=0), px.max(axis=0) + 1
+        if (low < 0).any() or (high > self._mask.shape[0]).any():
+            return False
+        window = self._mask[low[1] : high[1], low[0] : high[0]]
+        wanted = cv2.fillPoly(np.zeros_like(window), [px - low], 1)
+        return not np.any(window & wanted)
+
+    def take(self, outline: ArrayLike) -> None:
+        """Mark a polygon (k, 2)."""
+        cv2.fillPoly(self._mask, [self._px(outline)], 1)
+
+    def take_line(self, line: ArrayLike, width_m: float) -> None:
+        """Mark a polyline (k, 2)."""
+        cv2.polylines(self._mask, [self._px(line)], isClosed=False, color=1, thickness=max(int(width_m / CELL_M), 1))
+
+    def _px(self, plan: ArrayLike) -> np.ndarray:
+        xy = np.asarray(plan, dtype=np.float64)
+        return np.asarray(np.floor((xy + self._extent) / CELL_M), dtype=np.int32)
+
+
+def grown(outline: ArrayLike, margin_m: float) -> Array:
+    """The box around an outline (k, 2) about the origin, `margin_m` wider on all sides."""
+    points = np.asarray(outline, dtype=np.float64)
+    (x0, y0), (x1, y1) = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+
+
+def placed(outline: ArrayLike, east: float, north: float, heading_deg: float) -> Array:
+    """An outline (k, 2) turned and moved."""
+    c, s = np.cos(np.radians(heading_deg)), np.sin(np.radians(heading_deg))
+    result: Array = np.asarray(outline, np.float64) @ [[c, s], [-s, c]] + [east, north]
+    return result
+
+
+def _roads(options: SiteOptions, extent: float) -> tuple[Strip, ...]:
+    """A street grid that bends: the first of each direction passes near the middle."""
+    rng = stream(options.seed, "roads")
+    heading = rng.uniform(0, 180)
+    strips = []
+    spacing = {"office-park": 95.0, "industrial": 135.0, "flooded": 150.0}[options.preset]
+    for turn in (0.0, 90.0):
+        direction = np.radians(heading + turn)
+        along = np.array([np.cos(direction), np.sin(direction)])
+        across = np.array([-along[1], along[0]])
+        count = int(1.5 * extent / spacing) + 1
+        middle = rng.uniform(-8, 8) if options.preset != "flooded" else 0.62 * options.radius_m
+        for k in range(-count, count + 1):
+            own = stream(options.seed, "road", int(turn), k + 1000)
+            offset = middle + spacing * k + (own.uniform(-12, 12) if k else 0.0)
+            if k and own.uniform() < 0.25:
+                continue
+            t = np.arange(-1.45 * extent // 10, 1.45 * extent // 10 + 1) * 10
+            bend = offset + own.uniform(4, 9) * np.sin(t / own.uniform(60, 110) + own.uniform(0, 6))
+            line = t[:, None] * along + bend[:, None] * across
+            width = float(own.choice([6.0, 6.5, 7.5]))
+            strips.append(Strip(tuple(map(tuple, line)), width, "road"))
+    return tuple(strips)
+
+
+def _core(
+    options: SiteOptions, land: Land, ground: Occupied, strips: tuple[Strip, ...]
+) -> tuple[tuple[Building, ...], tuple[Yard, ...]]:
+    """Buildings that are modelled in full, each with its yard where there is room."""
+    rng = stream(options.seed, "buildings")
+    blocks = BLOCKS[options.preset]
+    wanted = max(int(blocks.per_hectare * (2 * options.radius_m / 100) ** 2), 3)
+    buildings: list[Building] = []
+    yards: list[Yard] = []
+    for attempt in range(4000):
+        if len(buildings) >= wanted:
+            break
+        reach = options.radius_m * (0.75 if attempt < 2000 else 0.95)
+        e, n = rng.uniform(-reach, reach, 2)
+        block = blocks.draw(rng)
+        block = block if attempt < 1500 else block.smaller()
+        heading = _heading_at(strips, e, n) + rng.choice([0, 90, 180, 270]) + rng.normal(scale=1.5)
+        if not ground.free(placed(grown(block.outline, 4.0), e, n, heading)):
+            continue
+        ground.take(placed(grown(block.outline, 2.5), e, n, heading))
+        buildings.append(_building(f"B{len(buildings) + 1}", block, e, n, heading, options, land, fine=True))
+        yard = _yard_beside(block, e, n, heading, ground, rng, blocks.yard) if len(yards) < wanted * 0.6 else None
+        yards += [yard] if yard and not land.wet(yard.east, yard.north) else []
+    if options.look_alikes == "twins" and len(buildings) > 2:
+        buildings = _with_twin(buildings)
+    return tuple(buildings), tuple(yards)
+
+
+def _building(
+    name: str, block: Block, e: float, n: float, heading: float, options: SiteOptions, land: Land, *, fine: bool
+) -> Building:
+    outline = placed(block.outline, e, n, heading)
+    around = land.height(outline[:, 0], outline[:, 1])
+    # Doors stay free on a slope; who stands in the pond stands on its bed.
+    up = float(around.min() if land.wet(e, n) else around.max()) + 0.1
+    return Building(
+        name=name,
+        east=float(e),
+        north=float(n),
+        up=up,
+        heading_deg=float(heading),
+        outline=block.outline,
+        storeys=block.storeys,
+        storey_m=block.storey_m,
+        roof=block.roof,
+        wall=block.wall,
+        cover=block.cover,
+        looks=block.looks,
+        fine=fine,
+        repeated=fine and options.look_alikes != "none",
+        water_up=land.water_up if land.wet(e, n) else None,
+    )
+
+
+def _with_twin(buildings: list[Building]) -> list[Building]:
+    """The second building becomes the first one again, elsewhere."""
+    first = buildings[0]
+    far = max(buildings[1:], key=lambda b: np.hypot(b.east - first.east, b.north - first.north))
+    twin = replace(
+        first,
+        name=far.name,
+        east=far.east,
+        north=far.north,
+        up=far.up,
+        heading_deg=far.heading_deg,
+        water_up=far.water_up,
+    )
+    return [twin if b is far else b for b in buildings]
+
+
+def _heading_at(strips: tuple[Strip, ...], e: float, n: float) -> float:
+    """Direction of the nearest road, degrees counter-clockwise from east."""
+    best, heading = np.inf, 0.0
+    for strip in strips:
+        line = np.array(strip.line)
+        middles, steps = (line[1:] + line[:-1]) / 2, np.diff(line, axis=0)
+        distance = np.hypot(middles[:, 0] - e, middles[:, 1] - n)
+        k = int(np.argmin(distance))
+        if distance[k] < best:
+            best, heading = float(distance[k]), float(np.degrees(np.arctan2(steps[k, 1], steps[k, 0])))
+    return heading
+
+
+def _yard_beside(
+    block: Block, e: float, n: float, heading: float, ground: Occupied, rng: np.random.Generator, kind: str
+) -> Yard | None:
+    """The first side of a building with room for a car park or a yard."""
+    x0, y0 = np.min(block.outline, axis=0)
+    x1, y1 = np.max(block.outline, axis=0)
+    for turn in rng.permutation([0.0, 90.0, 180.0, 270.0]):
+        reach = {0.0: x1, 90.0: y1, 180.0: -x0, 270.0: -y0}[float(turn)]
+        length = float((y1 - y0 if turn in (0.0, 180.0) else x1 - x0) * rng.uniform(0.8, 1.2))
+        width = float(rng.choice([11.0, 16.5]))
+        for shrink in (1.0, 0.7):
+            angle = np.radians(heading + turn)
+            gap = reach + 4.5 + width / 2
+            east, north = e + gap * np.cos(angle), n + gap * np.sin(angle)
+            length = max(length * shrink, 12.0)
+            outline = placed(rectangle(length, width), east, north, heading + turn + 90)
+            if ground.free(outline):
+                ground.take(outline)
+                return Yard(
+                    east, north, heading + turn + 90, length, width, "parking" if kind == "parking" else "concrete"
+                )
+    return None
+
+
+def _walked(buildings: tuple[Building, ...], count: int, land: Land) -> tuple[str, ...]:
+    """Buildings for the ground groups, the innermost first, far apart so that no photo joins two groups."""
+    order = sorted(buildings, key=lambda b: np.hypot(b.east, b.north) - 6 * b.storeys)
+    chosen: list[Building] = []
+    for apart in (GROUPS_APART_M, 30.0, 15.0):
+        for building in order:
+            clear = all(np.hypot(building.east - c.east, building.north - c.north) > apart for c in chosen)
+            if len(chosen) < count and clear and building not in chosen:
+                chosen.append(building)
+    return tuple(building.name for building in chosen)
+
+
+def _surroundings(
+    options: SiteOptions, land: Land, ground: Occupied, strips: tuple[Strip, ...], extent: float
+) -> tuple[tuple[Building, ...], tuple[Yard, ...]]:
+    """Plainer buildings and yards in the rest: other places for a matcher to fall for."""
+    rng = stream(options.seed, "surroundings")
+    blocks = BLOCKS[options.preset]
+    count = int(0.55 * blocks.per_hectare * ((2 * extent) ** 2 - (2 * options.radius_m) ** 2) / 1e4)
+    found: list[Building] = []
+    yards: list[Yard] = []
+    for _ in range(12 * count):
+        if len(found) >= count:
+            break
+        e, n = rng.uniform(-0.97 * extent, 0.97 * extent, 2)
+        block = blocks.draw(rng)
+        heading = _heading_at(strips, e, n) + rng.choice([0, 90]) + rng.normal(scale=2)
+        if max(abs(e), abs(n)) < options.radius_m + 12 or not ground.free(
+            placed(grown(block.outline, 3), e, n, heading)
+        ):
+            continue
+        ground.take(placed(grown(block.outline, 2), e, n, heading))
+        found.append(_building(f"D{len(found) + 1}", block, e, n, heading, options, land, fine=False))
+        yard = _yard_beside(block, e, n, heading, ground, rng, blocks.yard) if rng.uniform() < 0.5 else None
+        yards += [yard] if yard else []
+    return tuple(found), tuple(yards)
+
+
+def _trees(options: SiteOptions, land: Land, ground: Occupied, extent: float, walked: list[Building]) -> Array:
+    """Single trees and groves; fewer at industrial sites. Some stand before the facades that people photograph."""
+    rng = stream(options.seed, "trees")
+    density = {"office-park": 24.0, "industrial": 9.0, "flooded": 28.0}[options.preset]  # per hectare
+    count = int(density * (2 * extent / 100) ** 2)
+    groves = rng.uniform(-extent, extent, (max(count // 25, 4), 2))
+    near = rng.uniform(size=count) < 0.55
+    plan = np.where(
+        near[:, None],
+        groves[rng.integers(len(groves), size=count)] + rng.normal(scale=11, size=(count, 2)),
+        rng.uniform(-extent, extent, (count, 2)),
+    )
+    for building in walked:
+        outline = np.array(building.outline)
+        side = rng.uniform(outline.min(axis=0) - 5, outline.max(axis=0) + 5, (6, 2))
+        plan = np.concatenate([plan, placed(side, building.east, building.north, building.heading_deg)])
+    trees = []
+    for (e, n), height in zip(plan, rng.uniform(4.5, 12.5, len(plan)), strict=True):
+        radius = height * rng.uniform(0.24, 0.36)
+        if ground.free(placed(rectangle(2.2, 2.2), e, n, 0)) and not land.wet(e, n):
+            trees.append((e, n, height, radius))
+            ground.take(placed(rectangle(1.5, 1.5), e, n, 0))
+    return np.array(trees).reshape(-1, 4)
+
+
+def _props(options: SiteOptions, land: Land, ground: Occupied) -> tuple[tuple[str, float, float, float], ...]:
+    """Tanks, containers, lamps and the like, within the radius."""
+    rng = stream(options.seed, "props")
+    area = (2 * options.radius_m / 100) ** 2
+    kinds = {
+        "office-park": (("lamp", 9, 0.6), ("bench", 4, 1.2), ("hedge", 7, 2.5), ("bin", 4, 0.6), ("shed", 1.5, 2.5)),
+        "industrial": (
+            ("tank", 3, 6.5),
+            ("silo", 2.5, 3.2),
+            ("container", 14, 4.0),
+            ("lamp", 6, 0.6),
+            ("pallets", 14, 1.6),
+            ("pipes", 4, 7.0),
+            ("hedge", 2, 2.5),
+        ),
+        "flooded": (("lamp", 5, 0.6), ("hedge", 6, 2.5), ("bench", 3, 1.2), ("shed", 3, 2.5), ("container", 2, 4.0)),
+    }[options.preset]
+    props: list[tuple[str, float, float, float]] = []
+    for kind, per_hectare, half in kinds:
+        for _ in range(int(per_hectare * area) * 4):
+            e, n = rng.uniform(-options.radius_m, options.radius_m, 2)
+            heading = float(rng.uniform(0, 360))
+            outline = placed(rectangle(2 * half, 2 * half), e, n, heading)
+            if sum(p[0] == kind for p in props) < per_hectare * area and ground.free(outline) and not land.wet(e, n):
+                ground.take(outline)
+                props.append((kind, float(e), float(n), heading))
+    return tuple(props)
