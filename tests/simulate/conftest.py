@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from skymoor.simulate.light.pages import Pages
+from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, Part, cuboid, join, quads, rectangle
-from skymoor.simulate.pages import Pages
 from skymoor.simulate.plan import Building, Date, SiteOptions
-from skymoor.simulate.scene import Scene
 from skymoor.simulate.world import World
 
 Array = NDArray[np.float64]

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from skymoor.errors import InputError
-from skymoor.simulate.buildings import BROKEN_SHARE, daily_parts, fixed_parts
-from skymoor.simulate.covers import roof_texture
-from skymoor.simulate.facades import FOOT_M, cells_without
-from skymoor.simulate.materials import COLOURS, joint, octaves, wall_texture
+from skymoor.simulate.building.assemble import BROKEN_SHARE, daily_parts, fixed_parts
+from skymoor.simulate.building.covers import roof_texture
+from skymoor.simulate.building.facades import FOOT_M, cells_without
+from skymoor.simulate.building.materials import COLOURS, joint, octaves, wall_texture
+from skymoor.simulate.building.openings import is_hall, openings_of, rects, styles, wall_lengths
+from skymoor.simulate.building.painting import painted_wall
+from skymoor.simulate.building.roofs import parapet_m, profile, span_of
+from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.mesh import Label, Part, rectangle, stream
-from skymoor.simulate.openings import is_hall, openings_of, rects, styles, wall_lengths
-from skymoor.simulate.pages import Pages
-from skymoor.simulate.painting import painted_wall
 from skymoor.simulate.plan import Building
-from skymoor.simulate.roofs import parapet_m, profile, span_of
 
 L_SHAPE = ((-10.0, -6.0), (10.0, -6.0), (10.0, 6.0), (0.0, 6.0), (0.0, 11.0), (-10.0, 11.0))
 HOUSE = Building(

@@ -11,8 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from skymoor.errors import InputError
-from skymoor.simulate.aim import looking, standing_at
-from skymoor.simulate.capture import (
+from skymoor.simulate.capture.aim import looking, standing_at
+from skymoor.simulate.capture.footing import circuit_round, clear_views, free_places, ground_up, within_buildings
+from skymoor.simulate.capture.shots import (
     STANDOFF_M,
     Shot,
     airborne_shots,
@@ -20,9 +21,8 @@ from skymoor.simulate.capture import (
     security_shots,
     true_view,
 )
-from skymoor.simulate.footing import circuit_round, clear_views, free_places, ground_up, within_buildings
+from skymoor.simulate.capture.walks import metered, walk_of
 from skymoor.simulate.plan import dates_of, place_of
-from skymoor.simulate.walks import metered, walk_of
 from skymoor.simulate.world import World
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ def pitches_deg(shots: list[Shot]) -> Array:
 
 def rolls_deg(shots: list[Shot]) -> Array:
     rows = np.array([shot.camera.cam_from_world.rotation for shot in shots])
-    return np.degrees(np.arctan2(rows[:, 0, 2], -rows[:, 1, 2]))
+    return np.asarray(np.degrees(np.arctan2(rows[:, 0, 2], -rows[:, 1, 2])))
 
 
 def is_nadir(shots: list[Shot]) -> NDArray[np.bool_]:

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from skymoor.simulate.ground import paint_ground
-from skymoor.simulate.land import make_land, terrain, water
-from skymoor.simulate.layout import Plan, make_plan
 from skymoor.simulate.mesh import Label, inside
+from skymoor.simulate.place.ground import paint_ground
+from skymoor.simulate.place.land import make_land, terrain, water
+from skymoor.simulate.place.layout import Plan, make_plan
 from skymoor.simulate.plan import Preset, SiteOptions
 
 PRESETS: tuple[Preset, ...] = ("office-park", "industrial", "flooded")

@@ -19,7 +19,8 @@ from skymoor.match.cyclic import cycle_error_px
 from skymoor.orient.protocol import GroundLabeler
 from skymoor.reconstruct import PairMatcher, ReconstructOptions, SiftMatcher, reconstruct
 from skymoor.reconstruct.protocol import colmap_name
-from skymoor.simulate.capture import airborne_shots, true_view
+from skymoor.simulate.capture.shots import airborne_shots, true_view
+from skymoor.simulate.light.photo import take_photo, true_depth, true_labels
 from skymoor.simulate.mesh import GROUND_LABELS, stream
 from skymoor.simulate.oracles import (
     OracleDepth,
@@ -28,7 +29,6 @@ from skymoor.simulate.oracles import (
     OracleMonocularDepth,
     OraclePairMatcher,
 )
-from skymoor.simulate.photo import take_photo, true_depth, true_labels
 from skymoor.simulate.plan import dates_of
 from skymoor.simulate.site import true_enu_from_sfm
 from skymoor.simulate.world import World

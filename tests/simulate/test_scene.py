@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from flight import look_at
 from skymoor.geometry.camera import Intrinsics
+from skymoor.simulate.light.pages import WHITE, Pages
+from skymoor.simulate.light.photo import Sensor, developed, take_photo, true_depth, true_labels
+from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, Part, cuboid, join, parallelograms
-from skymoor.simulate.pages import WHITE, Pages
-from skymoor.simulate.photo import Sensor, developed, take_photo, true_depth, true_labels
-from skymoor.simulate.scene import Scene
 from skymoor.types import Camera
 
 Array = NDArray[np.float64]

@@ -19,9 +19,9 @@ from skymoor.errors import InputError, TooFewMatches
 from skymoor.geo import mahalanobis
 from skymoor.geometry.similarity import Similarity
 from skymoor.reference import read_reference
-from skymoor.simulate import photo as photo_module
 from skymoor.simulate import site as site_module
-from skymoor.simulate.capture import airborne_shots, ground_shots, security_shots
+from skymoor.simulate.capture.shots import airborne_shots, ground_shots, security_shots
+from skymoor.simulate.light import photo as photo_module
 from skymoor.simulate.mesh import Label
 from skymoor.simulate.plan import place_of
 from skymoor.simulate.site import Site, true_enu_from_sfm, write_site

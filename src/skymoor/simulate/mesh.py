@@ -2,7 +2,7 @@
 """Triangles that know their looks: what every simulated thing is made of.
 
 A part is a soup of triangles, without shared vertices: a thing is made by listing its faces, and joining is stacking.
-Texture coordinates are metres on a page (see `pages`), u to the right and v down from the page's top left corner.
+Texture coordinates are metres on a page (see `light.pages`), u to the right and v down from the page's top left corner.
 """
 
 from __future__ import annotations

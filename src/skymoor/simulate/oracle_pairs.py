@@ -13,8 +13,8 @@ import pycolmap
 from numpy.typing import NDArray
 
 from skymoor.simulate.capture import true_view
+from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import stream
-from skymoor.simulate.scene import Scene
 from skymoor.simulate.world import World
 from skymoor.types import Camera, Photos, Progress
 

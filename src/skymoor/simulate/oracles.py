@@ -19,10 +19,10 @@ from scipy.spatial import cKDTree
 
 from skymoor.errors import InputError
 from skymoor.simulate.capture import true_view
+from skymoor.simulate.light.photo import true_depth, true_labels
+from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import GROUND_LABELS, stream
 from skymoor.simulate.oracle_pairs import OraclePairMatcher
-from skymoor.simulate.photo import true_depth, true_labels
-from skymoor.simulate.scene import Scene
 from skymoor.simulate.site import true_enu_from_sfm
 from skymoor.simulate.world import World
 from skymoor.types import Camera, Component, DepthMap, Image, Photos, Progress, Raster, Warp, no_progress

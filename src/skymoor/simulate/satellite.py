@@ -16,10 +16,10 @@ from rasterio import Affine
 
 from skymoor.geo.accuracy import LE90_PER_SIGMA, ce90_m
 from skymoor.geo.frame import EnuFrame
-from skymoor.simulate.footing import ground_up
+from skymoor.simulate.capture.footing import ground_up
+from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, stream
 from skymoor.simulate.plan import SiteOptions, place_of
-from skymoor.simulate.scene import Scene
 from skymoor.simulate.world import World
 from skymoor.types import Image
 

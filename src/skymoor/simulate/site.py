@@ -21,8 +21,8 @@ from skymoor.geo.frame import EnuFrame
 from skymoor.geometry.camera import Intrinsics
 from skymoor.geometry.similarity import Similarity, umeyama
 from skymoor.simulate.capture import Shot, airborne_shots, ground_shots, security_shots
+from skymoor.simulate.light.photo import take_photo, true_depth, true_labels
 from skymoor.simulate.mesh import stream
-from skymoor.simulate.photo import take_photo, true_depth, true_labels
 from skymoor.simulate.plan import Date, dates_of, place_of
 from skymoor.simulate.satellite import covariance_of, draw_bias, make_reference
 from skymoor.simulate.world import World

@@ -8,18 +8,18 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from skymoor.simulate.buildings import daily_parts, fixed_parts
-from skymoor.simulate.cars import cars
-from skymoor.simulate.ground import paint_ground
-from skymoor.simulate.land import terrain, water
-from skymoor.simulate.layout import Plan, make_plan
+from skymoor.simulate.building import daily_parts, fixed_parts
+from skymoor.simulate.light.pages import Pages
+from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, Part, join, stream
-from skymoor.simulate.noise import periodic
-from skymoor.simulate.pages import Pages
+from skymoor.simulate.place.cars import cars
+from skymoor.simulate.place.ground import paint_ground
+from skymoor.simulate.place.land import terrain, water
+from skymoor.simulate.place.layout import Plan, make_plan
+from skymoor.simulate.place.noise import periodic
+from skymoor.simulate.place.plants import hedge, trees
+from skymoor.simulate.place.props import props
 from skymoor.simulate.plan import Array, Array32, Date, SiteOptions
-from skymoor.simulate.plants import hedge, trees
-from skymoor.simulate.props import props
-from skymoor.simulate.scene import Scene
 
 NEAR_MARGIN_M = 15.0  # of finely painted ground around the site
 NEAR_TEXEL_M, FAR_TEXEL_M = 0.06, 0.35

@@ -12,14 +12,14 @@ from itertools import pairwise
 import numpy as np
 
 from skymoor.errors import InputError
-from skymoor.simulate.covers import COLOURS, roof_texture
-from skymoor.simulate.kit import Kit
-from skymoor.simulate.materials import Array32, Rng
+from skymoor.simulate.building.covers import COLOURS, roof_texture
+from skymoor.simulate.building.kit import Kit
+from skymoor.simulate.building.materials import Array32, Rng
+from skymoor.simulate.building.solids import bars, boxes
+from skymoor.simulate.building.weathering import repairs
+from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.mesh import Array, Label, Part, cuboid, join, parallelograms, quads, rectangles_of, stream
-from skymoor.simulate.pages import Pages
 from skymoor.simulate.plan import Building
-from skymoor.simulate.solids import bars, boxes
-from skymoor.simulate.weathering import repairs
 
 _THICK_M = 0.14
 _UP = np.array([0.0, 0.0, 1.0])

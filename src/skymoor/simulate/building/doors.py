@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from skymoor.simulate.kit import Kit, Palette
-from skymoor.simulate.materials import Rng
+from skymoor.simulate.building.kit import Kit, Palette
+from skymoor.simulate.building.materials import Rng
+from skymoor.simulate.building.openings import Opening
+from skymoor.simulate.building.solids import bars, boxes, on_wall
 from skymoor.simulate.mesh import Array, Label, Part, cylinder, join, parallelograms
-from skymoor.simulate.openings import Opening
-from skymoor.simulate.solids import bars, boxes, on_wall
 
 _STEP_M = 0.16
 _BLACK = (0.03, 0.03, 0.03)

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skymoor.simulate.materials import Array32, Rng, Shape, blend, centres, joint, noise, octaves, rust
-from skymoor.simulate.weathering import spots
+from skymoor.simulate.building.materials import Array32, Rng, Shape, blend, centres, joint, noise, octaves, rust
+from skymoor.simulate.building.weathering import spots
 
 COLOURS: dict[str, tuple[tuple[float, float, float], ...]] = {
     "membrane": ((0.46, 0.46, 0.44), (0.13, 0.13, 0.135), (0.30, 0.30, 0.29), (0.22, 0.23, 0.22)),

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skymoor.simulate.kit import Kit
-from skymoor.simulate.materials import Rng
+from skymoor.simulate.building.kit import Kit
+from skymoor.simulate.building.materials import Rng
+from skymoor.simulate.building.openings import Opening, rects
+from skymoor.simulate.building.signs import board, firm, warning
+from skymoor.simulate.building.solids import bars, boxes, on_wall
+from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.mesh import Array, Label, Part, cylinder, join, parallelograms
-from skymoor.simulate.openings import Opening, rects
-from skymoor.simulate.pages import Pages
 from skymoor.simulate.plan import Building
-from skymoor.simulate.signs import board, firm, warning
-from skymoor.simulate.solids import bars, boxes, on_wall
 
 Rect = tuple[float, float, float, float]
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 
-from skymoor.simulate.blocks import BLOCKS, Block
-from skymoor.simulate.land import Land, make_land
 from skymoor.simulate.mesh import rectangle, stream
+from skymoor.simulate.place.blocks import BLOCKS, Block
+from skymoor.simulate.place.land import Land, make_land
+from skymoor.simulate.place.occupied import Occupied, grown, placed
+from skymoor.simulate.place.outdoors import plant_trees, put_props
 from skymoor.simulate.plan import Array, Building, SiteOptions, Strip, Yard
 
 MIN_EXTENT_M = 260.0  # oblique photos look further than the site
-CELL_M = 0.5
 GROUPS_APART_M = 45.0
 
 
@@ -56,55 +55,10 @@ def make_plan(options: SiteOptions) -> Plan:
     buildings, yards = _core(options, land, ground, strips)
     walked = _walked(buildings, options.groups, land)
     outer, outer_yards = _surroundings(options, land, ground, strips, extent)
-    trees = _trees(options, land, ground, extent, [b for b in buildings if b.name in walked])
-    props = _props(options, land, ground)
+    trees = plant_trees(options, land, ground, extent, [b for b in buildings if b.name in walked])
+    props = put_props(options, land, ground)
     barren = 0.75 if options.preset == "industrial" else 0.0
     return Plan(land, extent, buildings, outer, strips, (*yards, *outer_yards), trees, props, walked, barren)
-
-
-class Occupied:
-    """A raster of what is taken."""
-
-    def __init__(self, extent_m: float) -> None:
-        self._extent = extent_m
-        side = int(2 * extent_m / CELL_M)
-        self._mask = np.zeros((side, side), dtype=np.uint8)
-
-    def free(self, outline: ArrayLike) -> bool:
-        """Whether nothing stands on a polygon (k, 2), and all of it lies in the raster."""
-        px = self._px(outline)
-        low, high = px.min(axis=0), px.max(axis=0) + 1
-        if (low < 0).any() or (high > self._mask.shape[0]).any():
-            return False
-        window = self._mask[low[1] : high[1], low[0] : high[0]]
-        wanted = cv2.fillPoly(np.zeros_like(window), [px - low], 1)
-        return not np.any(window & wanted)
-
-    def take(self, outline: ArrayLike) -> None:
-        """Mark a polygon (k, 2)."""
-        cv2.fillPoly(self._mask, [self._px(outline)], 1)
-
-    def take_line(self, line: ArrayLike, width_m: float) -> None:
-        """Mark a polyline (k, 2)."""
-        cv2.polylines(self._mask, [self._px(line)], isClosed=False, color=1, thickness=max(int(width_m / CELL_M), 1))
-
-    def _px(self, plan: ArrayLike) -> np.ndarray:
-        xy = np.asarray(plan, dtype=np.float64)
-        return np.asarray(np.floor((xy + self._extent) / CELL_M), dtype=np.int32)
-
-
-def grown(outline: ArrayLike, margin_m: float) -> Array:
-    """The box around an outline (k, 2) about the origin, `margin_m` wider on all sides."""
-    points = np.asarray(outline, dtype=np.float64)
-    (x0, y0), (x1, y1) = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m
-    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-
-
-def placed(outline: ArrayLike, east: float, north: float, heading_deg: float) -> Array:
-    """An outline (k, 2) turned and moved."""
-    c, s = np.cos(np.radians(heading_deg)), np.sin(np.radians(heading_deg))
-    result: Array = np.asarray(outline, np.float64) @ [[c, s], [-s, c]] + [east, north]
-    return result
 
 
 def _roads(options: SiteOptions, extent: float) -> tuple[Strip, ...]:
@@ -275,57 +229,3 @@ def _surroundings(
         yard = _yard_beside(block, e, n, heading, ground, rng, blocks.yard) if rng.uniform() < 0.5 else None
         yards += [yard] if yard else []
     return tuple(found), tuple(yards)
-
-
-def _trees(options: SiteOptions, land: Land, ground: Occupied, extent: float, walked: list[Building]) -> Array:
-    """Single trees and groves; fewer at industrial sites. Some stand before the facades that people photograph."""
-    rng = stream(options.seed, "trees")
-    density = {"office-park": 24.0, "industrial": 9.0, "flooded": 28.0}[options.preset]  # per hectare
-    count = int(density * (2 * extent / 100) ** 2)
-    groves = rng.uniform(-extent, extent, (max(count // 25, 4), 2))
-    near = rng.uniform(size=count) < 0.55
-    plan = np.where(
-        near[:, None],
-        groves[rng.integers(len(groves), size=count)] + rng.normal(scale=11, size=(count, 2)),
-        rng.uniform(-extent, extent, (count, 2)),
-    )
-    for building in walked:
-        outline = np.array(building.outline)
-        side = rng.uniform(outline.min(axis=0) - 5, outline.max(axis=0) + 5, (6, 2))
-        plan = np.concatenate([plan, placed(side, building.east, building.north, building.heading_deg)])
-    trees = []
-    for (e, n), height in zip(plan, rng.uniform(4.5, 12.5, len(plan)), strict=True):
-        radius = height * rng.uniform(0.24, 0.36)
-        if ground.free(placed(rectangle(2.2, 2.2), e, n, 0)) and not land.wet(e, n):
-            trees.append((e, n, height, radius))
-            ground.take(placed(rectangle(1.5, 1.5), e, n, 0))
-    return np.array(trees).reshape(-1, 4)
-
-
-def _props(options: SiteOptions, land: Land, ground: Occupied) -> tuple[tuple[str, float, float, float], ...]:
-    """Tanks, containers, lamps and the like, within the radius."""
-    rng = stream(options.seed, "props")
-    area = (2 * options.radius_m / 100) ** 2
-    kinds = {
-        "office-park": (("lamp", 9, 0.6), ("bench", 4, 1.2), ("hedge", 7, 2.5), ("bin", 4, 0.6), ("shed", 1.5, 2.5)),
-        "industrial": (
-            ("tank", 3, 6.5),
-            ("silo", 2.5, 3.2),
-            ("container", 14, 4.0),
-            ("lamp", 6, 0.6),
-            ("pallets", 14, 1.6),
-            ("pipes", 4, 7.0),
-            ("hedge", 2, 2.5),
-        ),
-        "flooded": (("lamp", 5, 0.6), ("hedge", 6, 2.5), ("bench", 3, 1.2), ("shed", 3, 2.5), ("container", 2, 4.0)),
-    }[options.preset]
-    props: list[tuple[str, float, float, float]] = []
-    for kind, per_hectare, half in kinds:
-        for _ in range(int(per_hectare * area) * 4):
-            e, n = rng.uniform(-options.radius_m, options.radius_m, 2)
-            heading = float(rng.uniform(0, 360))
-            outline = placed(rectangle(2 * half, 2 * half), e, n, heading)
-            if sum(p[0] == kind for p in props) < per_hectare * area and ground.free(outline) and not land.wet(e, n):
-                ground.take(outline)
-                props.append((kind, float(e), float(n), heading))
-    return tuple(props)

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skymoor.raycast import RayCaster
+from skymoor.simulate.light.pages import Pages
+from skymoor.simulate.light.sky import BOUNCE, HORIZON, SKYLIGHT, SUNLIGHT, Openness, measure_openness, sky_colours
 from skymoor.simulate.mesh import Label, Part, join
-from skymoor.simulate.pages import Pages
-from skymoor.simulate.sky import BOUNCE, HORIZON, SKYLIGHT, SUNLIGHT, Openness, measure_openness, sky_colours
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

@@ -7,18 +7,18 @@ from itertools import pairwise
 
 import numpy as np
 
-from skymoor.simulate.covers import COLOURS, roof_texture
-from skymoor.simulate.facades import FOOT_M, on_its_side
-from skymoor.simulate.kit import wall_colour
-from skymoor.simulate.materials import Array32, blend
+from skymoor.simulate.building.covers import COLOURS, roof_texture
+from skymoor.simulate.building.facades import FOOT_M, on_its_side
+from skymoor.simulate.building.kit import wall_colour
+from skymoor.simulate.building.materials import Array32, blend
+from skymoor.simulate.building.openings import openings_of, wall_lengths
+from skymoor.simulate.building.painting import flat_colour
+from skymoor.simulate.building.roofs import parapet_m, profile, span_of
+from skymoor.simulate.building.solids import ON_FLOOR, boxes, solid
+from skymoor.simulate.building.weathering import runoff
+from skymoor.simulate.light.pages import WHITE, Pages
 from skymoor.simulate.mesh import Array, Label, Part, join, quads, rectangles_of, stream
-from skymoor.simulate.openings import openings_of, wall_lengths
-from skymoor.simulate.pages import WHITE, Pages
-from skymoor.simulate.painting import flat_colour
 from skymoor.simulate.plan import Building
-from skymoor.simulate.roofs import parapet_m, profile, span_of
-from skymoor.simulate.solids import ON_FLOOR, boxes, solid
-from skymoor.simulate.weathering import runoff
 
 _WALL_TEXEL_M, _ROOF_TEXEL_M = 0.10, 0.12
 

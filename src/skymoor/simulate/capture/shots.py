@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from skymoor.errors import InputError
 from skymoor.geometry.similarity import Similarity
-from skymoor.simulate.aim import looking, make_lens, standing_at
-from skymoor.simulate.footing import ground_up
+from skymoor.simulate.capture.aim import looking, make_lens, standing_at
+from skymoor.simulate.capture.footing import ground_up
+from skymoor.simulate.capture.walks import metered, walk_of, watching
+from skymoor.simulate.light.photo import Sensor
+from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import stream
-from skymoor.simulate.photo import Sensor
 from skymoor.simulate.plan import dates_of
-from skymoor.simulate.scene import Scene
-from skymoor.simulate.walks import metered, walk_of, watching
 from skymoor.simulate.world import World
 from skymoor.types import Camera
 

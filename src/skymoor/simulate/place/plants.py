@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from skymoor.simulate.land import Land
 from skymoor.simulate.mesh import Label, Part, join, quads, stream, triangles
+from skymoor.simulate.place.land import Land
 from skymoor.simulate.plan import Array, Season
 
 LEAF = {

@@ -7,17 +7,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from skymoor.simulate.clutter import Stuff, make_stuff, some_thing
-from skymoor.simulate.doors import gate_leaf
-from skymoor.simulate.facades import on_its_side
-from skymoor.simulate.fittings import Free, room_on
-from skymoor.simulate.kit import palette_of
-from skymoor.simulate.materials import Array32, Rng, noise
+from skymoor.simulate.building.clutter import Stuff, make_stuff, some_thing
+from skymoor.simulate.building.doors import gate_leaf
+from skymoor.simulate.building.facades import on_its_side
+from skymoor.simulate.building.fittings import Free, room_on
+from skymoor.simulate.building.kit import palette_of
+from skymoor.simulate.building.materials import Array32, Rng, noise
+from skymoor.simulate.building.openings import Opening, is_hall, openings_of, role, wall_lengths
+from skymoor.simulate.building.solids import solid
+from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.mesh import Array, Label, Part, join, parallelograms, stream
-from skymoor.simulate.openings import Opening, is_hall, openings_of, role, wall_lengths
-from skymoor.simulate.pages import Pages
 from skymoor.simulate.plan import Building
-from skymoor.simulate.solids import solid
 
 Ground = Callable[[Array, Array], Array]
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from skymoor.simulate.layout import Plan, placed
+from skymoor.simulate.light.pages import WHITE
 from skymoor.simulate.mesh import Label, Part, join, parallelograms, quads, stream
-from skymoor.simulate.pages import WHITE
+from skymoor.simulate.place.layout import Plan
+from skymoor.simulate.place.occupied import placed
 from skymoor.simulate.plan import Array, Strip, Yard
 
 PAINTS = ((0.62, 0.62, 0.61), (0.02, 0.02, 0.022), (0.12, 0.125, 0.13), (0.36, 0.37, 0.38), (0.05, 0.09, 0.2),

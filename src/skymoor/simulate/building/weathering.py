@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skymoor.simulate.materials import Array32, Rng, blend, centres, noise
+from skymoor.simulate.building.materials import Array32, Rng, blend, centres, noise
 from skymoor.simulate.mesh import Array
 
 

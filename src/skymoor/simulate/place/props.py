@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skymoor.simulate.layout import Plan
+from skymoor.simulate.light.pages import WHITE, Pages
 from skymoor.simulate.mesh import Label, Part, cuboid, cylinder, join, quads, stream
-from skymoor.simulate.noise import periodic
-from skymoor.simulate.pages import WHITE, Pages
+from skymoor.simulate.place.layout import Plan
+from skymoor.simulate.place.noise import periodic
 from skymoor.simulate.plan import Array32
 
 BOXES = ((0.26, 0.10, 0.07), (0.07, 0.14, 0.22), (0.14, 0.17, 0.12), (0.30, 0.30, 0.29), (0.28, 0.19, 0.06))

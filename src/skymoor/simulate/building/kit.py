@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skymoor.simulate.interiors import Rooms, paint_rooms
-from skymoor.simulate.materials import COLOURS, grain, wall_texture
+from skymoor.simulate.building.interiors import Rooms, paint_rooms
+from skymoor.simulate.building.materials import COLOURS, grain, wall_texture
+from skymoor.simulate.building.openings import wall_lengths
+from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.mesh import Array, stream
-from skymoor.simulate.openings import wall_lengths
-from skymoor.simulate.pages import Pages
 from skymoor.simulate.plan import Building
 
 PAGES_BYTES = 13.0e6

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skymoor.simulate.materials import Array32, Rng, noise
+from skymoor.simulate.building.materials import Array32, Rng, noise
+from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.mesh import Array
-from skymoor.simulate.pages import Pages
 
 TILE_M = 2.4
 _TEXEL_M = 0.03

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from skymoor.errors import InputError
 from skymoor.geometry.camera import Intrinsics
 from skymoor.geometry.similarity import Similarity
-from skymoor.simulate.aim import azimuth_deg, looking, make_lens, standing_at
-from skymoor.simulate.footing import (
+from skymoor.simulate.capture.aim import azimuth_deg, looking, make_lens, standing_at
+from skymoor.simulate.capture.footing import (
     STEP_M,
     Circuit,
     circuit_round,
@@ -22,9 +22,9 @@ from skymoor.simulate.footing import (
     ground_up,
     within_buildings,
 )
+from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import stream
 from skymoor.simulate.plan import Building, dates_of
-from skymoor.simulate.scene import Scene
 from skymoor.simulate.world import World
 
 Array = NDArray[np.float64]

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skymoor.simulate.materials import Array32, Rng, centres, grain, joint, noise
+from skymoor.simulate.building.materials import Array32, Rng, centres, grain, joint, noise
+from skymoor.simulate.building.signs import poster
+from skymoor.simulate.building.solids import bars, boxes
+from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.mesh import Array, Label, Part, cylinder, join, parallelograms, triangles
-from skymoor.simulate.pages import Pages
-from skymoor.simulate.signs import poster
-from skymoor.simulate.solids import bars, boxes
 
 _BINS = ((0.04, 0.075, 0.045), (0.05, 0.055, 0.06), (0.035, 0.05, 0.09), (0.12, 0.085, 0.05), (0.05, 0.075, 0.045))
 

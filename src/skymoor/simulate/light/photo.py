@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.geometry.camera import Intrinsics
-from skymoor.simulate.scene import Scene
+from skymoor.simulate.light.scene import Scene
 from skymoor.types import Camera, Image
 
 Array = NDArray[np.float64]

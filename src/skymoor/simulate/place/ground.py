@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skymoor.simulate.layout import Plan, grown, placed
 from skymoor.simulate.mesh import rectangle, stream
-from skymoor.simulate.noise import field
+from skymoor.simulate.place.layout import Plan
+from skymoor.simulate.place.noise import field
+from skymoor.simulate.place.occupied import grown, placed
 from skymoor.simulate.plan import Array, Season, Strip, Yard
 
 Array32 = NDArray[np.float32]

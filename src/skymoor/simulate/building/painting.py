@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from skymoor.simulate.kit import BELOW_M, wall_colour
-from skymoor.simulate.materials import Array32, Rng, centres, noise, octaves, wall_texture
+from skymoor.simulate.building.kit import BELOW_M, wall_colour
+from skymoor.simulate.building.materials import Array32, Rng, centres, noise, octaves, wall_texture
+from skymoor.simulate.building.openings import Opening, bays, rects, wall_lengths
+from skymoor.simulate.building.weathering import age, tide_mark
 from skymoor.simulate.mesh import Array, stream
-from skymoor.simulate.openings import Opening, bays, rects, wall_lengths
 from skymoor.simulate.plan import Building
-from skymoor.simulate.weathering import age, tide_mark
 
 
 def painted_wall(

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skymoor.simulate.kit import BELOW_M, Kit
-from skymoor.simulate.materials import Rng
+from skymoor.simulate.building.kit import BELOW_M, Kit
+from skymoor.simulate.building.materials import Rng
+from skymoor.simulate.building.openings import Opening, Style, rects
+from skymoor.simulate.building.solids import boxes, on_wall
 from skymoor.simulate.mesh import Array, Label, Part, join, quads
-from skymoor.simulate.openings import Opening, Style, rects
 from skymoor.simulate.plan import Building
-from skymoor.simulate.solids import boxes, on_wall
 
 FOOT_M = -2.5
 """How deep walls go: the ground slopes."""

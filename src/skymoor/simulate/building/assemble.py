@@ -5,20 +5,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from skymoor.simulate.coarse import coarse_parts
-from skymoor.simulate.daily import Ground, day_things
-from skymoor.simulate.doors import doors
-from skymoor.simulate.facades import Face, bands, infills, on_its_side, wall_face, windows
-from skymoor.simulate.fittings import fittings, room_on
-from skymoor.simulate.kit import Kit, make_kit, texel_m
+from skymoor.simulate.building.coarse import coarse_parts
+from skymoor.simulate.building.daily import Ground, day_things
+from skymoor.simulate.building.doors import doors
+from skymoor.simulate.building.facades import Face, bands, infills, on_its_side, wall_face, windows
+from skymoor.simulate.building.fittings import fittings, room_on
+from skymoor.simulate.building.kit import Kit, make_kit, texel_m
+from skymoor.simulate.building.openings import is_hall, openings_of, role, wall_lengths
+from skymoor.simulate.building.painting import painted_wall
+from skymoor.simulate.building.roofs import parapet_m, profile, roof_part
+from skymoor.simulate.building.rooftop import rooftop
+from skymoor.simulate.building.solids import solid
+from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.mesh import Array, Part, join, stream
-from skymoor.simulate.openings import is_hall, openings_of, role, wall_lengths
-from skymoor.simulate.pages import Pages
-from skymoor.simulate.painting import painted_wall
 from skymoor.simulate.plan import Building
-from skymoor.simulate.roofs import parapet_m, profile, roof_part
-from skymoor.simulate.rooftop import rooftop
-from skymoor.simulate.solids import solid
 
 BROKEN_SHARE = 0.18
 """Panes that a flood has broken."""

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skymoor.simulate.covers import fan, louvre, solar
-from skymoor.simulate.kit import Kit, wall_colour
-from skymoor.simulate.materials import Rng
+from skymoor.simulate.building.covers import fan, louvre, solar
+from skymoor.simulate.building.kit import Kit, wall_colour
+from skymoor.simulate.building.materials import Rng
+from skymoor.simulate.building.roofs import Span, span_of
+from skymoor.simulate.building.solids import ON_FLOOR, bars, boxes
+from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.mesh import Array, Label, Part, cylinder, inside, join, parallelograms, quads, stream
-from skymoor.simulate.pages import Pages
 from skymoor.simulate.plan import Building
-from skymoor.simulate.roofs import Span, span_of
-from skymoor.simulate.solids import ON_FLOOR, bars, boxes
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skymoor.simulate.materials import Array32, Rng, blend, noise, octaves
+from skymoor.simulate.building.materials import Array32, Rng, blend, noise, octaves
 from skymoor.simulate.mesh import Array
 
 _HEADS = ("NOR", "BEL", "VAN", "KER", "TAL", "MIR", "OST", "HAL", "LUN", "GRA", "SOL", "DRE", "FEN", "RAD")
