@@ -169,3 +169,11 @@ def test_haze_takes_the_contrast_of_what_is_far() -> None:
         for haze in (0, 2e-3)
     ]
     assert views[1].mean() > 1.5 * views[0].mean()
+
+
+def test_a_camera_in_the_shadow_exposes_longer_but_not_all_the_way(rng: np.random.Generator) -> None:
+    lit, dim = (make_scene(floor((grey,) * 3)) for grey in (0.4, 0.1))
+    camera = camera_at([0, -1, 12], [0, 0, 0])
+    views = [take_photo(scene, camera, QUIET, rng, samples=1).mean() for scene in (lit, dim)]
+    fixed = [developed(scene.radiance([[0, 0, 9]], [[0, 0, -1.0]])[None], QUIET, rng).mean() for scene in (lit, dim)]
+    assert 1.05 < views[0] / views[1] < 0.8 * fixed[0] / fixed[1]

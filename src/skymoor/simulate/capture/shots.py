@@ -14,7 +14,7 @@ from skymoor.errors import InputError
 from skymoor.geometry.similarity import Similarity
 from skymoor.simulate.capture.aim import looking, make_lens, standing_at
 from skymoor.simulate.capture.footing import ground_up
-from skymoor.simulate.capture.walks import metered, walk_of, watching
+from skymoor.simulate.capture.walks import walk_of, watching
 from skymoor.simulate.light.photo import Sensor
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import stream
@@ -72,7 +72,7 @@ def ground_shots(world: World) -> list[Shot]:
         letter = chr(ord("a") + group)
         exposure, red, blue = (float(x) for x in (rng.uniform(0.9, 1.2), *rng.uniform(0.95, 1.05, 2)))
         for number, k in enumerate(rng.permutation(len(walk.poses))):
-            gain = metered(walk.scene, walk.lens, walk.poses[k]) * float(rng.uniform(0.95, 1.05))
+            gain = float(rng.uniform(0.95, 1.05))
             sensor = Sensor(exposure * gain, (red, 1.0, blue), noise=0.01)
             camera = Camera(f"ground/{letter}_{number:03d}.jpg", walk.lens, walk.poses[k])
             shots.append(Shot(camera, sensor, "ground", letter))
@@ -97,8 +97,7 @@ def security_shots(world: World) -> list[Shot]:
         walk = walk_of(world, k % max(options.groups, 1))
         pose = watching(world, walk, lens, rng, taken)
         tint = (float(rng.uniform(0.9, 1.1)), 1.0, float(rng.uniform(0.9, 1.1)))
-        exposure = metered(walk.scene, lens, pose) * float(rng.uniform(0.8, 1.25))
-        sensor = Sensor(exposure, tint, blur_px=0.9, noise=0.025, vignetting=0.3)
+        sensor = Sensor(float(rng.uniform(0.8, 1.25)), tint, blur_px=0.9, noise=0.025, vignetting=0.3)
         shots.append(Shot(Camera(f"ground/security_{numbers[k]:03d}.jpg", lens, pose), sensor, "ground", "security"))
     return shots
 

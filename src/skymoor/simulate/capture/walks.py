@@ -39,7 +39,6 @@ BESIDE_M = 1.0  # between a pole and a wall
 APART_M = 2.0
 MAX_TRIES = 200
 SECURITY_WALL_SHARE = 0.15  # their lenses are wide, and they see much ground
-KEY = 0.25  # the mean light that needs no correction
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,15 +113,6 @@ def watching(world: World, walk: Walk, lens: Intrinsics, rng: np.random.Generato
         )
     first = int(np.argmax(good))
     return standing_at(eyes[first], rotations[first])
-
-
-def metered(scene: Scene, lens: Intrinsics, pose: Similarity) -> float:
-    """What a camera's automatic makes of the light in its picture, as a factor on the exposure."""
-    u, v = np.meshgrid((np.arange(8) + 0.5) / 8 * lens.width, (np.arange(6) + 0.5) / 6 * lens.height)
-    rays = lens.rays(np.column_stack([u.ravel(), v.ravel()])) @ pose.rotation
-    light = scene.radiance(pose.inverse().translation, rays, pixel_rad=1 / (8 * lens.fx / lens.width))
-    key = float(np.exp(np.log(np.maximum(light, 0.01)).mean()))
-    return float(np.clip((KEY / key) ** 0.6, 0.7, 2.0))
 
 
 def _stations(

@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 
+METERED_LIGHT = 0.22  # the mean light that needs no correction
+
+
 @dataclass(frozen=True)
 class Sensor:
     """What happens between the light and the file.
@@ -48,9 +51,13 @@ def take_photo(scene: Scene, camera: Camera, sensor: Sensor, rng: np.random.Gene
     u, v = np.meshgrid((np.arange(i.width) + 0.5) / i.width * 2 - 1, (np.arange(i.height) + 0.5) / i.height * 2 - 1)
     falloff = 1 - sensor.vignetting * ((u**2 + v**2) / 2).astype(np.float32)
     light = light * falloff[..., None]
-    # The camera meters the picture, but not all the way: what is dark stays a little darker.
-    metered = float(np.clip((0.22 / max(float(np.median(light)), 1e-3)) ** 0.6, 0.5, 2.5))
-    return developed(light * np.float32(metered), sensor, rng)
+    return developed(light * np.float32(_metered(light)), sensor, rng)
+
+
+def _metered(light: Array32) -> float:
+    """What a camera's automatic makes of the light, as a factor: what is dark stays a little darker."""
+    mean = float(np.exp(np.log(np.maximum(light[::4, ::4], 0.01)).mean()))
+    return float(np.clip((METERED_LIGHT / mean) ** 0.6, 0.5, 2.5))
 
 
 def developed(light: Array32, sensor: Sensor, rng: np.random.Generator) -> Image:
