@@ -20,7 +20,9 @@ from skymoor.products import NOT_REGISTERED, write_products
 from skymoor.reference import read_reference
 from skymoor.screen import Screen, evaluation_table, summary_table
 from skymoor.settings import Options
-from skymoor.simulate import SiteOptions, World, write_site
+from skymoor.simulate import SiteOptions
+from skymoor.simulate.site import write_site
+from skymoor.simulate.world import World
 from skymoor.store import Store, has_metadata, open_photos, photos_fingerprint, read_cameras_csv, read_truth_csv
 
 # Small enough for a few minutes on two cores, large enough for every step to have its work.

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, Part, cuboid, join, quads, rectangle
-from skymoor.simulate.plan import Building, Date, SiteOptions
+from skymoor.simulate.options import SiteOptions
+from skymoor.simulate.plan import Building, Date
 from skymoor.simulate.world import World
 
 Array = NDArray[np.float64]

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole sites with exact truth: photos from the air and from the ground, an orthophoto and a DSM of another day."""
+"""Whole sites with exact truth: photos from the air and from the ground, an orthophoto and a DSM of another day.
 
-from skymoor.simulate.plan import Date, SiteOptions
-from skymoor.simulate.site import write_site
-from skymoor.simulate.world import World
+`World(SiteOptions(...))` of `world` is a site, `write_site` of `site` puts it on the disk. Only the options are loaded
+with the package, since the command line's help shows them.
+"""
 
-__all__ = ["Date", "SiteOptions", "World", "write_site"]
+from skymoor.simulate.options import SiteOptions
+
+__all__ = ["SiteOptions"]

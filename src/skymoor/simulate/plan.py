@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a simulated site is asked to be, and what stands where in it: plain data, no triangles."""
+"""The nouns of a simulated site: days, buildings, roads and yards. Plain data, no triangles."""
 
 from __future__ import annotations
 
@@ -11,55 +11,12 @@ from numpy.typing import NDArray
 
 from skymoor.geo.frame import EnuFrame
 from skymoor.simulate.mesh import stream
+from skymoor.simulate.options import SiteOptions
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-Preset = Literal["office-park", "industrial", "flooded"]
 Season = Literal["summer", "autumn", "winter"]
-
-
-@dataclass(frozen=True)
-class SiteOptions:
-    """A site is made from these alone: the same options give the same site.
-
-    Attributes:
-        preset: the kind of site, after the three of the paper's results: A01, M07 and A08.
-        seed: of everything random.
-        radius_m: of the part that is modelled in full; the rest is plainer.
-        airborne: number of airborne photos.
-        groups: disjoint walks of ground photos, each round another building.
-        group_photos: photos of each walk.
-        security: photos of security cameras, with strong distortion.
-        photo_width: pixels; the height is three quarters of it.
-        samples: rays per pixel, per side.
-        reference_width_m: side of the square that the orthophoto and the DSM cover.
-        ortho_pixel_m: pixel of the orthophoto.
-        dsm_pixel_m: pixel of the DSM.
-        ce90_m, le90_m: accuracy of the reference, from which its bias is drawn; by default the paper's for the preset.
-        off_nadir_deg: by how much buildings lean in the orthophoto.
-        look_alikes: "facades" repeats the bays of each facade; "twins" also builds one building twice.
-        depths, labels: write the true depth and labels of every photo.
-    """
-
-    preset: Preset = "office-park"
-    seed: int = 0
-    radius_m: float = 85.0
-    airborne: int = 50
-    groups: int = 2
-    group_photos: int = 11
-    security: int = 8
-    photo_width: int = 1000
-    samples: int = 2
-    reference_width_m: float = 400.0
-    ortho_pixel_m: float = 0.4
-    dsm_pixel_m: float = 0.5
-    ce90_m: float | None = None
-    le90_m: float | None = None
-    off_nadir_deg: float = 0.0
-    look_alikes: Literal["none", "facades", "twins"] = "none"
-    depths: bool = False
-    labels: bool = False
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,8 @@ from skymoor.geo.frame import EnuFrame
 from skymoor.simulate.capture.footing import ground_up
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, stream
-from skymoor.simulate.plan import SiteOptions, place_of
+from skymoor.simulate.options import SiteOptions
+from skymoor.simulate.plan import place_of
 from skymoor.simulate.world import World
 from skymoor.types import Image
 

@@ -12,6 +12,7 @@ from skymoor.simulate.building import daily_parts, fixed_parts
 from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, Part, join, stream
+from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.place.cars import cars
 from skymoor.simulate.place.ground import paint_ground
 from skymoor.simulate.place.land import terrain, water
@@ -19,7 +20,7 @@ from skymoor.simulate.place.layout import Plan, make_plan
 from skymoor.simulate.place.noise import periodic
 from skymoor.simulate.place.plants import hedge, trees
 from skymoor.simulate.place.props import props
-from skymoor.simulate.plan import Array, Array32, Date, SiteOptions
+from skymoor.simulate.plan import Array, Array32, Date
 
 NEAR_MARGIN_M = 15.0  # of finely painted ground around the site
 NEAR_TEXEL_M, FAR_TEXEL_M = 0.06, 0.35

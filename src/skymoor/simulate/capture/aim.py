@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skymoor.geometry.camera import Intrinsics
 from skymoor.geometry.similarity import Similarity
-from skymoor.simulate.plan import SiteOptions
+from skymoor.simulate.options import SiteOptions
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from skymoor.simulate.mesh import rectangle
-from skymoor.simulate.plan import Preset
+from skymoor.simulate.options import Preset
 
 Name = TypeVar("Name", bound=str)
 Outline = tuple[tuple[float, float], ...]

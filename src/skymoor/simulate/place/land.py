@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skymoor.simulate.mesh import Label, Part, join, quads, stream
-from skymoor.simulate.plan import Array, Preset
+from skymoor.simulate.options import Preset
+from skymoor.simulate.plan import Array
 
 FAR_M = 3500.0  # where the world ends, behind the haze
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skymoor.simulate.mesh import rectangle, stream
+from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.place.blocks import BLOCKS, Block
 from skymoor.simulate.place.land import Land, make_land
 from skymoor.simulate.place.occupied import Occupied, grown, placed
 from skymoor.simulate.place.outdoors import plant_trees, put_props
-from skymoor.simulate.plan import Array, Building, SiteOptions, Strip, Yard
+from skymoor.simulate.plan import Array, Building, Strip, Yard
 
 MIN_EXTENT_M = 260.0  # oblique photos look further than the site
 GROUPS_APART_M = 45.0

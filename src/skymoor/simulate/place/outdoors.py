@@ -6,9 +6,10 @@ from __future__ import annotations
 import numpy as np
 
 from skymoor.simulate.mesh import rectangle, stream
+from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.place.land import Land
 from skymoor.simulate.place.occupied import Occupied, placed
-from skymoor.simulate.plan import Array, Building, SiteOptions
+from skymoor.simulate.plan import Array, Building
 
 
 def plant_trees(options: SiteOptions, land: Land, ground: Occupied, extent: float, walked: list[Building]) -> Array:
