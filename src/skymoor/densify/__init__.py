@@ -2,6 +2,6 @@
 """Depth for every pixel of every photo."""
 
 from skymoor.densify._sgm import SgmDepth
-from skymoor.densify.protocol import DepthEstimator
+from skymoor.densify.protocol import DepthEstimator, MonocularDepth
 
-__all__ = ["DepthEstimator", "SgmDepth"]
+__all__ = ["DepthEstimator", "MonocularDepth", "SgmDepth"]

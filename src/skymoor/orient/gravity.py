@@ -16,7 +16,7 @@ import numpy as np
 from skymoor.errors import DegenerateGeometry, TooFewMatches
 from skymoor.geometry.plane import Plane, fit_plane_ransac
 from skymoor.geometry.similarity import Similarity
-from skymoor.types import Array, Component, Gravity
+from skymoor.types import Array, Component, Gravity, Mask
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class OrientOptions:
         common_roll_deg: all cameras may share a roll of this size; it cancels only where headings differ.
         plane_threshold_ratio: RANSAC threshold as a share of the median camera-to-point distance.
         portrait_deg: an x-axis further from the horizon than this belongs to a photo turned on its side.
+        min_ground_points: fewer points marked as ground are no plane.
     """
 
     terrain_slope_deg: float = 2.0
@@ -36,12 +37,21 @@ class OrientOptions:
     common_roll_deg: float = 1.0
     plane_threshold_ratio: float = 0.02
     portrait_deg: float = 20.0
+    min_ground_points: int = 20
 
 
 def estimate_gravity(
-    component: Component, options: OrientOptions | None = None, *, rng: np.random.Generator
+    component: Component,
+    options: OrientOptions | None = None,
+    *,
+    rng: np.random.Generator,
+    ground: Mask | None = None,
 ) -> Gravity:
     """Find up.
+
+    `ground` (n,) marks the points that are known to be ground, as `ground_points` finds them: the plane is laid through
+    those alone, if they are enough. Without it the plane with most points is taken for the ground, which near a facade
+    it is not.
 
     Raises:
         DegenerateGeometry: neither the points nor the cameras determine a plane.
@@ -49,8 +59,11 @@ def estimate_gravity(
     options = options or OrientOptions()
     rays = component.points[component.obs_point] - component.centres[component.obs_camera]
     distance = float(np.median(np.linalg.norm(rays, axis=1)))
-    plane = _ground_plane(component, options.plane_threshold_ratio * distance, rng)
-    normal = plane.normal * _sign(component, plane.normal, rays)
+    if ground is None or np.count_nonzero(ground) < options.min_ground_points:
+        ground = np.ones(len(component.points), dtype=bool)
+    flat, down = component.points[ground], rays[ground[component.obs_point]]
+    plane = _ground_plane(flat, options.plane_threshold_ratio * distance, rng)
+    normal = plane.normal * _sign(plane.normal, down)
     horizon, roll_deg = horizon_information(component, normal, options)
     slope = np.radians(options.terrain_slope_deg)
     ground = (np.eye(3) - np.outer(normal, normal)) / slope**2
@@ -59,7 +72,8 @@ def estimate_gravity(
     tangent_values, tangent = np.linalg.eigh(horizon)
     cameras_up = tangent[:, 0] * np.sign(tangent[:, 0] @ normal)
     determined = tangent_values[1] > 1 / slope**2
-    plane_height = float(np.median(component.points[_near(component, plane, distance, options)] @ up))
+    near = np.abs(flat @ plane.normal - plane.offset) < options.plane_threshold_ratio * distance
+    plane_height = float(np.median(flat[near] @ up))
     camera_height = float(np.median(component.centres @ up)) - plane_height
     if camera_height <= 0:
         raise DegenerateGeometry("the cameras lie below the ground that they see: up could not be told")
@@ -114,22 +128,18 @@ def _information(axes: Array, weights: Array, common: float) -> Array:
     return np.asarray((axes.T * weights) @ axes - np.outer(total, total) / (1 / common**2 + weights.sum()))
 
 
-def _ground_plane(component: Component, threshold: float, rng: np.random.Generator) -> Plane:
+def _ground_plane(points: Array, threshold: float, rng: np.random.Generator) -> Plane:
     try:
-        plane, _ = fit_plane_ransac(component.points, threshold=threshold, rng=rng)
+        plane, _ = fit_plane_ransac(points, threshold=threshold, rng=rng)
     except TooFewMatches as error:
         raise DegenerateGeometry(f"too few points for a ground plane: {error}") from error
     return plane
 
 
-def _near(component: Component, plane: Plane, distance: float, options: OrientOptions) -> Array:
-    return np.asarray(np.abs(component.points @ plane.normal - plane.offset) < options.plane_threshold_ratio * distance)
-
-
-def _sign(component: Component, normal: Array, rays: Array) -> float:
+def _sign(normal: Array, rays: Array) -> float:
     """+1 if most viewing rays come down on the side to which the normal points (the paper's rule), else -1.
 
-    Rays to the points that a camera sees vote, not optical axes: ground cameras look slightly upwards.
+    Rays to the ground that a camera sees vote, not optical axes: ground cameras look slightly upwards.
     """
     return 1.0 if np.mean(rays @ normal < 0) >= 0.5 else -1.0
 
