@@ -70,6 +70,8 @@ def test_twins_have_one_shape_and_one_look() -> None:
     shapes = [(b.outline, b.looks, b.storeys) for b in plan.buildings]
     assert len(shapes) - len(set(shapes)) == 1
     assert all(building.repeated for building in plan.buildings)
+    # Both are photographed: that is what they are for.
+    assert len({b.looks for b in plan.buildings if b.name in plan.walked}) == 1
 
 
 def test_the_pond_ends_where_the_land_rises() -> None:

@@ -54,7 +54,7 @@ def make_plan(options: SiteOptions) -> Plan:
     for strip in strips:
         ground.take_line(strip.line, strip.width_m + 5.0)
     buildings, yards = _core(options, land, ground, strips)
-    walked = _walked(buildings, options.groups, land)
+    walked = _walked(buildings, options.groups)
     outer, outer_yards = _surroundings(options, land, ground, strips, extent)
     trees = plant_trees(options, land, ground, extent, [b for b in buildings if b.name in walked])
     props = put_props(options, land, ground)
@@ -194,9 +194,10 @@ def _yard_beside(
     return None
 
 
-def _walked(buildings: tuple[Building, ...], count: int, land: Land) -> tuple[str, ...]:
-    """Buildings for the ground groups, the innermost first, far apart so that no photo joins two groups."""
-    order = sorted(buildings, key=lambda b: np.hypot(b.east, b.north) - 6 * b.storeys)
+def _walked(buildings: tuple[Building, ...], count: int) -> tuple[str, ...]:
+    """Buildings for the ground groups: twins first, then the innermost; far apart so that no photo joins two groups."""
+    looks = [building.looks for building in buildings]
+    order = sorted(buildings, key=lambda b: (-looks.count(b.looks), np.hypot(b.east, b.north) - 6 * b.storeys))
     chosen: list[Building] = []
     for apart in (GROUPS_APART_M, 30.0, 15.0):
         for building in order:
