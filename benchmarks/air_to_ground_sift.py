@@ -22,16 +22,20 @@ def main() -> None:
     if len(sys.argv) < 2:
         sys.exit(__doc__)
     for site in map(Path, sys.argv[1:]):
-        sets = {name: open_photos(site / name, site) for name in ("airborne", "ground")}
-        names = tuple(name for photos in sets.values() for name in photos.names)
-        sizes = tuple(size for photos in sets.values() for size in photos.sizes)
-        both = Photos(names, sizes, lambda name: sets[name.split("/")[0]].read(name))
-        components = reconstruct(both, ReconstructOptions(), seed=0)
-        print(f"{site.name}: {len(names)} photos")
-        for component in components:
+        photos = both_sets(site)
+        print(f"{site.name}: {len(photos)} photos")
+        for component in reconstruct(photos, ReconstructOptions(), seed=0):
             counts = Counter(camera.image.split("/")[0] for camera in component.cameras)
             joined = "JOINED" if len(counts) > 1 else ""
             print("  " + ", ".join(f"{count} {name}" for name, count in counts.items()), joined, flush=True)
+
+
+def both_sets(site: Path) -> Photos:
+    """Airborne and ground photos as one set."""
+    sets = {name: open_photos(site / name, site) for name in ("airborne", "ground")}
+    names = tuple(name for photos in sets.values() for name in photos.names)
+    sizes = tuple(size for photos in sets.values() for size in photos.sizes)
+    return Photos(names, sizes, lambda name: sets[name.split("/")[0]].read(name))
 
 
 if __name__ == "__main__":
