@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skymoor.render.views import RenderOptions, nadir_view
+from skymoor.render.views import RenderOptions, nadir_view, oblique_views, tiles
 
 
 def cloud(low: tuple[float, float, float], high: tuple[float, float, float], n: int = 50_000) -> np.ndarray:
@@ -46,3 +46,35 @@ def test_a_few_outliers_do_not_stretch_the_view() -> None:
     points[20:40] = -1000.0
     view = nadir_view(points, 0.01)
     assert view.shape[1] * view.pixel < 8.1
+
+
+def test_eight_obliques_look_down_from_all_sides_and_hold_the_site() -> None:
+    points = cloud((-3, -2, 0), (5, 4, 0.3))
+    views = oblique_views(points, 0.01)
+    looks = np.array([view.view_from_level[2] for view in views])
+    assert len(views) == 8
+    np.testing.assert_allclose(looks[:, 2], -np.sqrt(0.5), atol=1e-12)
+    azimuths = np.degrees(np.arctan2(looks[:, 0], looks[:, 1])) % 360
+    np.testing.assert_allclose(azimuths, np.arange(8) * 45, atol=1e-9)
+    for view in views:
+        assert np.linalg.det(view.view_from_level) == pytest.approx(1)
+        assert view.view_from_level[0, 2] == pytest.approx(0)  # the horizon is level in the picture
+        assert view.view_from_level[1, 2] < 0  # and up is up
+        xy = (points @ view.view_from_level.T)[:, :2] - [view.x0, view.y0]
+        inside = ((xy >= 0) & (xy <= np.array(view.shape[::-1]) * view.pixel)).all(axis=1)
+        assert 0.98 < inside.mean() <= 1
+
+
+def test_the_papers_renders_have_729_tiles() -> None:
+    found = tiles((2048, 2048))
+    assert 9 * len(found) == 729
+    assert {(rows.stop - rows.start, columns.stop - columns.start) for rows, columns in found} == {(300, 300)}
+
+
+@pytest.mark.parametrize("shape", [(2048, 1500), (299, 900), (300, 301), (40, 50)])
+def test_tiles_cover_every_pixel(shape: tuple[int, int]) -> None:
+    covered = np.zeros(shape, dtype=int)
+    for window in tiles(shape):
+        covered[window] += 1
+    assert covered.min() >= 1
+    assert covered.max() <= 9

@@ -9,18 +9,24 @@ import numpy as np
 
 from skymoor.types import Array, View
 
+DOWN = np.diag([1.0, -1.0, -1.0])
+
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """Size of the renders.
+    """Size and number of the renders.
 
     Attributes:
         max_px: long side of a render; its pixel is never finer than a photo's pixel on the ground.
         border_percent: share of the surface points that may lie outside, per side.
+        obliques: number of views from the side, evenly around.
+        depression_deg: by which those look down.
     """
 
     max_px: int = 2048
     border_percent: float = 0.3
+    obliques: int = 8
+    depression_deg: float = 45.0
 
 
 def nadir_view(surface_points: Array, pixel: float, options: RenderOptions | None = None) -> View:
@@ -30,10 +36,54 @@ def nadir_view(surface_points: Array, pixel: float, options: RenderOptions | Non
         surface_points: (n, 3) in the level frame; the view covers them but for a few outliers.
         pixel: size of a photo's pixel on the ground, level units.
     """
+    return _covering(DOWN, surface_points, pixel, options or RenderOptions())
+
+
+def oblique_views(surface_points: Array, pixel: float, options: RenderOptions | None = None) -> list[View]:
+    """Looks at the site from all sides (paper, section 3.4): by default eight, each 45 degrees below the horizon.
+
+    Args:
+        surface_points: (n, 3) in the level frame; each view covers them but for a few outliers.
+        pixel: size of a photo's pixel on the surface, level units.
+
+    Returns:
+        views in the order of the azimuth that one looks in, from the level frame's y axis towards its x axis.
+    """
     options = options or RenderOptions()
-    down = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
-    low, high = np.percentile(surface_points @ down.T, [options.border_percent, 100 - options.border_percent], axis=0)
+    azimuths = np.arange(options.obliques) * 360 / options.obliques
+    return [_covering(_looking(a, options.depression_deg), surface_points, pixel, options) for a in azimuths]
+
+
+def tiles(shape: tuple[int, int], *, size: int = 300, overlap: float = 0.25) -> list[tuple[slice, slice]]:
+    """Windows (rows, columns) of `size` pixels that share `overlap` with their neighbours (paper, section 3.4, tiling).
+
+    The last of a row or column is moved in, so that all are of one size; a render smaller than that is one tile.
+    """
+    step = max(round(size * (1 - overlap)), 1)
+    starts = []
+    for side in shape:
+        count = max(int(np.ceil((side - size) / step)), 0) + 1
+        starts.append([min(k * step, max(side - size, 0)) for k in range(count)])
+    return [
+        (slice(top, min(top + size, shape[0])), slice(left, min(left + size, shape[1])))
+        for top in starts[0]
+        for left in starts[1]
+    ]
+
+
+def _looking(azimuth_deg: float, depression_deg: float) -> Array:
+    """view_from_level (3, 3) of a view in that direction, upright in the picture."""
+    azimuth, depression = np.radians([azimuth_deg, depression_deg])
+    along = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
+    right = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
+    forward = np.cos(depression) * along - np.sin(depression) * np.array([0.0, 0.0, 1.0])
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def _covering(view_from_level: Array, surface_points: Array, pixel: float, options: RenderOptions) -> View:
+    border = [options.border_percent, 100 - options.border_percent]
+    low, high = np.percentile(surface_points @ view_from_level.T, border, axis=0)
     extent = (high - low)[:2]
     pixel = max(pixel, float(extent.max()) / options.max_px)
     shape = (int(np.ceil(extent[1] / pixel)), int(np.ceil(extent[0] / pixel)))
-    return View(down, float(low[0]), float(low[1]), pixel, shape)
+    return View(view_from_level, float(low[0]), float(low[1]), pixel, shape)
