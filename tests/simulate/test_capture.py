@@ -119,7 +119,7 @@ def test_hands_are_not_quite_level(make_world: MakeWorld) -> None:
 
 
 def test_many_photos_go_all_the_way_round(make_world: MakeWorld) -> None:
-    world = make_world(groups=1, group_photos=35)
+    world = make_world(groups=1, group_photos=45)
     building = next(b for b in world.plan.buildings if b.name == world.plan.walked[0])
     around = centres(ground_shots(world))[:, :2] - [building.east, building.north]
     azimuths = np.sort(np.degrees(np.arctan2(around[:, 0], around[:, 1])))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from typing import Literal
 
@@ -55,6 +56,11 @@ class SiteOptions:
     depths: bool = False
     labels: bool = False
 
+    @property
+    def key(self) -> int:
+        """The seed of the random streams: presets of one seed have nothing in common."""
+        return zlib.crc32(f"{self.preset} {self.seed}".encode())
+
     def __post_init__(self) -> None:
         for name, (low, high) in BOUNDS.items():
             value = getattr(self, name)
@@ -68,9 +74,9 @@ BOUNDS = {
     "groups": (0, 26),
     "group_photos": (1, 500),
     "security": (0, 500),
-    "photo_width": (64, 8000),
+    "photo_width": (16, 8000),
     "samples": (1, 4),
-    "reference_width_m": (60, 6000),
+    "reference_width_m": (20, 6000),
     "ortho_pixel_m": (0.1, 5),
     "dsm_pixel_m": (0.1, 10),
     "ce90_m": (1e-6, 100),

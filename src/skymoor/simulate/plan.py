@@ -131,7 +131,7 @@ PLACES_DEG = (
 
 def place_of(options: SiteOptions) -> EnuFrame:
     """Where on Earth the site stands: the origin of its frame, drawn from its seed."""
-    rng = stream(options.seed, "place")
+    rng = stream(options.key, "place")
     lat, lon = np.array(PLACES_DEG[int(rng.integers(len(PLACES_DEG)))]) + rng.uniform(-0.05, 0.05, 2)
     # Numbers that survive being written down.
     return EnuFrame(round(float(lat), 7), round(float(lon), 7), round(float(rng.uniform(20.0, 300.0)), 3))
@@ -139,7 +139,7 @@ def place_of(options: SiteOptions) -> EnuFrame:
 
 def dates_of(options: SiteOptions) -> Dates:
     """A summer's morning in the air, its afternoon on the ground, and an autumn or winter's day from space."""
-    rng = stream(options.seed, "dates")
+    rng = stream(options.key, "dates")
     southern = place_of(options).lat_deg < 0
 
     def sun(azimuth: tuple[float, float], elevation: tuple[float, float]) -> tuple[float, float]:

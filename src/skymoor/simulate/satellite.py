@@ -94,7 +94,7 @@ class SimulatedReference:
 
 def covariance_of(options: SiteOptions) -> Array:
     """Covariance (3, 3) in m^2 of the reference, east-north-up, correlated, with the CE90 and LE90 of the options."""
-    rng = stream(options.seed, "covariance")
+    rng = stream(options.key, "covariance")
     ce90, le90 = ACCURACY_M[options.preset]
     ce90, le90 = options.ce90_m or ce90, options.le90_m or le90
     turn, ratio = rng.uniform(0, np.pi), rng.uniform(0.6, 0.95)

@@ -72,7 +72,7 @@ def write_site(world: World, folder: Path, *, progress: Progress = no_progress) 
     options = world.options
     covariance = covariance_of(options)
     # Rounded as it is written, so that a site read again is the same.
-    bias_m = np.round(draw_bias(covariance, stream(options.seed, "bias")), 6)
+    bias_m = np.round(draw_bias(covariance, stream(options.key, "bias")), 6)
     site = Site(folder, place_of(options), bias_m, covariance)
     _claim(world, site)
     if _complete(site):
@@ -145,7 +145,7 @@ def _write_photo(world: World, site: Site, shot: Shot) -> None:
     stem = camera.image.removesuffix(".jpg")
 
     def photo(path: Path) -> None:
-        rng = stream(options.seed, "photo", camera.image)
+        rng = stream(options.key, "photo", camera.image)
         pixels = take_photo(world.scene(date), camera, shot.sensor, rng, samples=options.samples)
         PillowImage.fromarray(pixels).save(path, format="JPEG", quality=JPEG_QUALITY)
 
@@ -167,7 +167,7 @@ def _write_reference(world: World, site: Site, report: Callable[[int], None]) ->
     report(0)
     if not all((site.folder / name).exists() for name in REFERENCE):
         scene = world.scene(dates_of(world.options).satellite)
-        reference = make_reference(world, scene, site.bias_m, stream(world.options.seed, "reference"))
+        reference = make_reference(world, scene, site.bias_m, stream(world.options.key, "reference"))
         report(1)
         _once(site, REFERENCE[0], reference.write_ortho)
         _once(site, REFERENCE[1], reference.write_dsm)

@@ -48,7 +48,7 @@ class World:
     @cached_property
     def _fixed(self) -> tuple[Part, Pages]:
         """Buildings and what else never moves."""
-        pages, seed = Pages(), self.options.seed
+        pages, seed = Pages(), self.options.key
         parts = [fixed_parts(building, pages) for building in (*self.plan.buildings, *self.plan.distractors)]
         parts.append(props(self.plan, pages, seed))
         return join(parts), pages
@@ -60,25 +60,25 @@ def _scene(world: World, date: Date) -> Scene:
     fixed, pages = world._fixed
     pages = pages.copy()
     near_m = options.radius_m + NEAR_MARGIN_M
-    near = pages.add(paint_ground(plan, options.seed, date.season, near_m, NEAR_TEXEL_M), NEAR_TEXEL_M)
-    far = pages.add(paint_ground(plan, options.seed, date.season, plan.extent_m, FAR_TEXEL_M), FAR_TEXEL_M)
+    near = pages.add(paint_ground(plan, options.key, date.season, near_m, NEAR_TEXEL_M), NEAR_TEXEL_M)
+    far = pages.add(paint_ground(plan, options.key, date.season, plan.extent_m, FAR_TEXEL_M), FAR_TEXEL_M)
     daily = [daily_parts(building, pages, date.name, ground=plan.land.height) for building in plan.buildings]
-    trunks, crowns = trees(plan.trees, plan.land, options.radius_m, date.season, options.seed)
+    trunks, crowns = trees(plan.trees, plan.land, options.radius_m, date.season, options.key)
     hedges = [
-        hedge(np.array([east, north]), heading, plan.land, date.season, stream(options.seed, "hedge", k))
+        hedge(np.array([east, north]), heading, plan.land, date.season, stream(options.key, "hedge", k))
         for k, (kind, east, north, heading) in enumerate(plan.props)
         if kind == "hedge"
     ]
     ground = terrain(plan.land, near_m, plan.extent_m, near, far)
-    solid = [ground, water(plan.land), fixed, *daily, trunks, cars(plan, options.seed, date.name)]
-    rng = stream(options.seed, "air", date.name)
+    solid = [ground, water(plan.land), fixed, *daily, trunks, cars(plan, options.key, date.name)]
+    rng = stream(options.key, "air", date.name)
     roofs = max((b.up + b.walls_m for b in plan.buildings), default=5.0)
     low = float(fixed.corners[fixed.label == Label.WALL][..., 2].min()) if len(fixed) else 0.0
     return Scene(
         solid=join(solid),
         leafy=join([crowns, *hedges]),
         pages=pages,
-        grain=pages.add(_grain(stream(options.seed, "grain")), 0.006),
+        grain=pages.add(_grain(stream(options.key, "grain")), 0.006),
         sun=date.sun,
         clouds=np.clip(0.35 * periodic(rng, 512, 3, 1.7) - 0.05, 0, 0.85),
         haze_per_m=date.haze,

@@ -46,7 +46,7 @@ class Shot:
 def airborne_shots(world: World) -> list[Shot]:
     """Strips that look down, and rings that look at the site at 45 degrees or steeper; one camera for all."""
     options = world.options
-    rng = stream(options.seed, "airborne")
+    rng = stream(options.key, "airborne")
     lens = make_lens(options, rng, 0.865 * float(rng.uniform(0.99, 1.01)), (-0.045, 0.012, 0.0, 0.0))
     poses = _flight(world, rng)
     # Exposure and colour follow the clouds: slow waves along the flight.
@@ -68,7 +68,7 @@ def ground_shots(world: World) -> list[Shot]:
     shots = []
     for group in range(world.options.groups):
         walk = walk_of(world, group)
-        rng = stream(world.options.seed, "phone", group)
+        rng = stream(world.options.key, "phone", group)
         letter = chr(ord("a") + group)
         exposure, red, blue = (float(x) for x in (rng.uniform(0.9, 1.2), *rng.uniform(0.95, 1.05, 2)))
         for number, k in enumerate(rng.permutation(len(walk.poses))):
@@ -85,10 +85,10 @@ def security_shots(world: World) -> list[Shot]:
     Raises `InputError` when there is no room for them.
     """
     options = world.options
-    numbers = stream(options.seed, "security").permutation(options.security)
+    numbers = stream(options.key, "security").permutation(options.security)
     shots: list[Shot] = []
     for k in range(options.security):
-        rng = stream(options.seed, "security", k)
+        rng = stream(options.key, "security", k)
         k1 = float(rng.uniform(-0.28, -0.10))
         # The second term keeps the polynomial growing out to any radius: 9 k1^2 < 20 k2.
         k2, p1, p2 = float(rng.uniform(0.65, 0.8)) * k1**2, *(float(p) for p in rng.normal(0, 4e-4, 2))

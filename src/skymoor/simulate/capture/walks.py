@@ -69,7 +69,7 @@ def walk_of(world: World, group: int) -> Walk:
     if group >= len(names):
         raise InputError(f"groups = {options.groups}: the site has {len(names)} buildings to walk round; ask for fewer")
     building = next(b for b in world.plan.buildings if b.name == names[group])
-    rng = stream(options.seed, "walk", group)
+    rng = stream(options.key, "walk", group)
     distortion = (float(rng.uniform(-0.02, 0.06)), float(rng.uniform(-0.06, 0.0)), 0.0, 0.0)
     lens = make_lens(options, rng, float(rng.uniform(0.70, 0.85)), distortion)
     eye_m = float(rng.uniform(1.55, 1.72))

@@ -48,7 +48,7 @@ class Plan:
 def make_plan(options: SiteOptions) -> Plan:
     """The plan of a site."""
     extent = max(MIN_EXTENT_M, 0.53 * options.reference_width_m)
-    land = make_land(options.preset, options.seed, options.radius_m)
+    land = make_land(options.preset, options.key, options.radius_m)
     ground = Occupied(extent)
     strips = _roads(options, extent)
     for strip in strips:
@@ -64,7 +64,7 @@ def make_plan(options: SiteOptions) -> Plan:
 
 def _roads(options: SiteOptions, extent: float) -> tuple[Strip, ...]:
     """A street grid that bends: the first of each direction passes near the middle."""
-    rng = stream(options.seed, "roads")
+    rng = stream(options.key, "roads")
     heading = rng.uniform(0, 180)
     strips = []
     spacing = {"office-park": 95.0, "industrial": 135.0, "flooded": 150.0}[options.preset]
@@ -75,7 +75,7 @@ def _roads(options: SiteOptions, extent: float) -> tuple[Strip, ...]:
         count = int(1.5 * extent / spacing) + 1
         middle = rng.uniform(-8, 8) if options.preset != "flooded" else 0.62 * options.radius_m
         for k in range(-count, count + 1):
-            own = stream(options.seed, "road", int(turn), k + 1000)
+            own = stream(options.key, "road", int(turn), k + 1000)
             offset = middle + spacing * k + (own.uniform(-12, 12) if k else 0.0)
             if k and own.uniform() < 0.25:
                 continue
@@ -91,7 +91,7 @@ def _core(
     options: SiteOptions, land: Land, ground: Occupied, strips: tuple[Strip, ...]
 ) -> tuple[tuple[Building, ...], tuple[Yard, ...]]:
     """Buildings that are modelled in full, each with its yard where there is room."""
-    rng = stream(options.seed, "buildings")
+    rng = stream(options.key, "buildings")
     blocks = BLOCKS[options.preset]
     wanted = max(int(blocks.per_hectare * (2 * options.radius_m / 100) ** 2), 3)
     buildings: list[Building] = []
@@ -211,7 +211,7 @@ def _surroundings(
     options: SiteOptions, land: Land, ground: Occupied, strips: tuple[Strip, ...], extent: float
 ) -> tuple[tuple[Building, ...], tuple[Yard, ...]]:
     """Plainer buildings and yards in the rest: other places for a matcher to fall for."""
-    rng = stream(options.seed, "surroundings")
+    rng = stream(options.key, "surroundings")
     blocks = BLOCKS[options.preset]
     count = int(0.55 * blocks.per_hectare * ((2 * extent) ** 2 - (2 * options.radius_m) ** 2) / 1e4)
     found: list[Building] = []

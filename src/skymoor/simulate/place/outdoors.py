@@ -14,7 +14,7 @@ from skymoor.simulate.plan import Array, Building
 
 def plant_trees(options: SiteOptions, land: Land, ground: Occupied, extent: float, walked: list[Building]) -> Array:
     """Single trees and groves; fewer at industrial sites. Some stand before the facades that people photograph."""
-    rng = stream(options.seed, "trees")
+    rng = stream(options.key, "trees")
     density = {"office-park": 24.0, "industrial": 9.0, "flooded": 28.0}[options.preset]  # per hectare
     count = int(density * (2 * extent / 100) ** 2)
     groves = rng.uniform(-extent, extent, (max(count // 25, 4), 2))
@@ -39,7 +39,7 @@ def plant_trees(options: SiteOptions, land: Land, ground: Occupied, extent: floa
 
 def put_props(options: SiteOptions, land: Land, ground: Occupied) -> tuple[tuple[str, float, float, float], ...]:
     """Tanks, containers, lamps and the like, within the radius."""
-    rng = stream(options.seed, "props")
+    rng = stream(options.key, "props")
     area = (2 * options.radius_m / 100) ** 2
     kinds = {
         "office-park": (("lamp", 9, 0.6), ("bench", 4, 1.2), ("hedge", 7, 2.5), ("bin", 4, 0.6), ("shed", 1.5, 2.5)),
