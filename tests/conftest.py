@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from flight import Flight, make_flight
-from scene import make_scene
+from flight import OPTIONS, Flight, SmallWorld, flight_of
+from pictures import Overhead, overhead
 from sharing import shared
-from sitefiles import BIAS_M, write_site
+from skymoor.simulate.plan import dates_of
+from skymoor.simulate.site import Site, write_site
 
 
 @pytest.fixture
@@ -21,25 +20,48 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture(scope="session")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
-    """18 photos of the small world: a ring that looks down at 45 degrees, and six from above."""
-    cameras, images = shared(tmp_path_factory, "flight", _photos)
-    return Flight(make_scene(), cameras, images)
+def small_world(tmp_path_factory: pytest.TempPathFactory) -> SmallWorld:
+    """Three buildings, a crossing and a tent, 90 m wide."""
+    return SmallWorld(OPTIONS, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
-def site_dir(tmp_path_factory: pytest.TempPathFactory, flight: Flight) -> Path:
-    """The small world as files, with a reference of another day that is off by a known bias; do not write into it."""
+def small_site(tmp_path_factory: pytest.TempPathFactory, small_world: SmallWorld) -> Site:
+    """The small world as files, with a reference of another day that is off; do not write into it.
 
-    def make() -> Path:
-        folder = tmp_path_factory.mktemp("site")
-        reference = make_scene(cars_seed=1, sun_deg=(205.0, 40.0))
-        write_site(folder, flight, reference, bias_m=BIAS_M)
-        return folder
+    Beside its site.toml is an airborne.toml that leaves out the ground photos.
+    """
+
+    def make() -> Site:
+        site = write_site(small_world, tmp_path_factory.mktemp("simulated") / "site")
+        (site.folder / "airborne.toml").write_text(site.toml.read_text().partition("[[ground]]")[0])
+        return site
 
     return shared(tmp_path_factory, "site", make)
 
 
-def _photos() -> tuple[object, object]:
-    made = make_flight("oblique")
-    return made.cameras, made.images
+@pytest.fixture(scope="session")
+def flight(small_world: SmallWorld, small_site: Site) -> Flight:
+    """Its 16 airborne photos: a ring that looks down at 55 degrees, and six from above."""
+    return flight_of(small_world, small_site)
+
+
+@pytest.fixture(scope="session")
+def first_day(tmp_path_factory: pytest.TempPathFactory, small_world: SmallWorld) -> Overhead:
+    """The small world from above, on the day of the flight."""
+    date = dates_of(OPTIONS).airborne
+    return shared(tmp_path_factory, "first_day", lambda: overhead(small_world.scene(date)))
+
+
+@pytest.fixture(scope="session")
+def next_door(tmp_path_factory: pytest.TempPathFactory, small_world: SmallWorld) -> Overhead:
+    """Another place, of the same kind and on the same day: what lies 200 m to the east."""
+    date = dates_of(OPTIONS).airborne
+    return shared(tmp_path_factory, "next_door", lambda: overhead(small_world.scene(date), east_m=200.0))
+
+
+@pytest.fixture(scope="session")
+def other_day(tmp_path_factory: pytest.TempPathFactory, small_world: SmallWorld) -> Overhead:
+    """The same on the day of the reference: another season, another sun, other cars."""
+    date = dates_of(OPTIONS).satellite
+    return shared(tmp_path_factory, "other_day", lambda: overhead(small_world.scene(date)))

@@ -1,34 +1,89 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photos of the small world from known cameras, their true depths, and the reconstruction that they ought to give."""
+"""The airborne photos of a small simulated site, their true depths, and the reconstruction that they ought to give."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+import pytest
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image as PillowImage
 
-from scene import Scene, make_scene
-from skymoor.geometry.camera import Intrinsics
-from skymoor.geometry.similarity import Similarity
+from blocks import observed
+from sharing import shared
+from skymoor.simulate.light.pages import WHITE
+from skymoor.simulate.light.photo import Sensor, developed, true_depth
+from skymoor.simulate.light.scene import Scene
+from skymoor.simulate.mesh import Label, cuboid, join
+from skymoor.simulate.options import SiteOptions
+from skymoor.simulate.plan import Date, dates_of
+from skymoor.simulate.site import Site
+from skymoor.simulate.world import World
 from skymoor.types import Camera, Component, DepthMap, Image, Photos
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
-LENS = Intrinsics(400, 300, 392.0, 392.0, 201.2, 148.7, (-0.05, 0.012, 0.0, 0.0))
-HEIGHT_M = 64.0
+OPTIONS = SiteOptions(
+    seed=5,
+    radius_m=45.0,
+    airborne=16,
+    groups=1,
+    group_photos=4,
+    security=0,
+    photo_width=400,
+    reference_width_m=160.0,
+    ortho_pixel_m=0.5,
+)
+STANDOFF_M = 78.0  # about; the unit of the `level` frames of the tests
+TENT_LOW, TENT_HIGH = np.array([4.0, 18.0, -2.0]), np.array([20.0, 31.0, 7.0])  # opposite corners, east-north-up
+ABOVE_M = 60.0  # over everything
+QUIET = Sensor(blur_px=0.0, noise=0.0, vignetting=0.0)
+
+
+@dataclass(frozen=True)
+class SmallWorld(World):
+    """A site in which a tent stands on which nothing can be measured; scenes are made once per test session."""
+
+    factory: pytest.TempPathFactory = field(compare=False)
+
+    def scene(self, date: Date) -> Scene:
+        return _shared_scene(self, date)
+
+
+@lru_cache(maxsize=2)
+def _shared_scene(world: SmallWorld, date: Date) -> Scene:
+    tent = cuboid(TENT_LOW, np.diag(TENT_HIGH - TENT_LOW), WHITE, Label.ROOF, (0.45, 0.45, 0.43))
+
+    def make() -> Scene:
+        scene = World.scene(world, date)
+        return replace(scene, solid=join([scene.solid, tent]))
+
+    return shared(world.factory, f"scene_{world.options.seed}_{date.name}", make)
+
+
+def on_tent(east: ArrayLike, north: ArrayLike, *, margin_m: float = 2.0) -> Mask:
+    """Whether plan positions lie on the tent's flat roof, so far from its edges, which can be measured."""
+    plan = np.stack([np.asarray(east), np.asarray(north)], axis=-1)
+    inside = (plan > TENT_LOW[:2] + margin_m) & (plan < TENT_HIGH[:2] - margin_m)
+    return np.asarray(inside.all(axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """A scene and the cameras over it; `photos` are named photo_00.jpg and so on, in the order of `cameras`."""
+    """Photos of a site, and the cameras that took them, in the site's frame."""
 
-    scene: Scene
+    world: World
     cameras: tuple[Camera, ...]
     images: dict[str, Image]
+
+    @property
+    def scene(self) -> Scene:
+        """What the photos show."""
+        return self.world.scene(dates_of(self.world.options).airborne)
 
     @property
     def photos(self) -> Photos:
@@ -36,140 +91,76 @@ class Flight:
         sizes = tuple((c.intrinsics.width, c.intrinsics.height) for c in self.cameras)
         return Photos(tuple(self.images), sizes, self.images.__getitem__)
 
-    @property
-    def standoff_m(self) -> float:
-        """Mean distance of the cameras to the middle of the site."""
-        return float(np.mean([np.linalg.norm(c.centre) for c in self.cameras]))
+    @cached_property
+    def from_above(self) -> list[int]:
+        """The photos that look straight down."""
+        return [k for k, camera in enumerate(self.cameras) if camera.cam_from_world.rotation[2, 2] < -0.98]
 
-    def with_scene(self, scene: Scene, indices: Sequence[int]) -> Flight:
-        """Photos of another scene from some of the cameras."""
-        return _taken(scene, [self.cameras[k] for k in indices])
-
-
-def make_flight(kind: str, *, scene: Scene | None = None) -> Flight:
-    """`oblique`: a ring that looks down at 45 degrees and six photos from above. `nadir`: 12 photos from one height."""
-    return _taken(scene or make_scene(), make_cameras(kind))
+    @cached_property
+    def around(self) -> list[int]:
+        """The others, which look at the site from a ring, in the order of the ring."""
+        ring = [k for k in range(len(self.cameras)) if k not in self.from_above]
+        return sorted(ring, key=lambda k: np.arctan2(*self.cameras[k].centre[:2]))
 
 
-def make_cameras(kind: str) -> list[Camera]:
-    """The cameras of `make_flight`, named photo_00.jpg and so on."""
-    rng = np.random.default_rng(7)
-    poses = {"oblique": _oblique, "nadir": _nadir}[kind](rng)
-    return [replace(camera, image=f"photo_{k:02d}.jpg") for k, camera in enumerate(poses)]
-
-
-def look_at(centre: Array, target: Array, *, roll_deg: float = 0.0, up: Array | None = None) -> Similarity:
-    """cam_from_world of a camera at `centre` whose axis meets `target`; `up` is upwards in the picture."""
-    z = (target - centre) / np.linalg.norm(target - centre)
-    x = np.cross(z, np.array([0.0, 0.0, 1.0]) if up is None else up)
-    x /= np.linalg.norm(x)
-    y = np.cross(z, x)
-    c, s = np.cos(np.radians(roll_deg)), np.sin(np.radians(roll_deg))
-    rotation = np.stack([c * x + s * y, c * y - s * x, z])
-    return Similarity(1.0, rotation, -rotation @ centre)
-
-
-def render_photo(scene: Scene, camera: Camera, *, noise_grey: float = 1.5, seed: int = 0) -> Image:
-    """The photo (h, w, 3) with distortion, 2 by 2 rays per pixel, and sensor noise."""
-    i = camera.intrinsics
-    rays = _rays(i, 2) @ camera.cam_from_world.rotation
-    colours = scene.colours(camera.centre, rays).reshape(i.height, 2, i.width, 2, 3).mean(axis=(1, 3))
-    noise = np.random.default_rng([seed, 3]).normal(scale=noise_grey, size=colours.shape)
-    return encoded(colours, noise)
-
-
-def encoded(linear: Array32, noise: Array | float = 0.0, *, gamma: float = 2.2) -> Image:
-    """Linear colours to 8 bits."""
-    grey = 255 * np.clip(1.1 * linear, 0, 1) ** (1 / gamma) + noise
-    return np.asarray(np.clip(grey + 0.5, 0, 255), dtype=np.uint8)
-
-
-def true_depth(scene: Scene, camera: Camera) -> Array32:
-    """z-depth (h, w) at the pixel centres of a camera, with its distortion if it has one."""
-    i = camera.intrinsics
-    t, index, _ = scene.cast(camera.centre, _rays(i, 1) @ camera.cam_from_world.rotation)
-    return np.asarray(np.where(index < 0, np.nan, t).reshape(i.height, i.width), dtype=np.float32)
+def flight_of(world: World, site: Site) -> Flight:
+    """The airborne photos that were written into a site's folder."""
+    cameras = tuple(camera for name, camera in site.cameras.items() if name.startswith("airborne/"))
+    images = {camera.image: np.array(PillowImage.open(site.folder / camera.image)) for camera in cameras}
+    return Flight(world, cameras, images)
 
 
 def true_maps(flight: Flight, *, sigma_ratio: float = 0.001) -> list[DepthMap]:
-    """The depth maps that a perfect stereo engine would give."""
+    """The depth maps that a perfect stereo engine would give, with colours that nothing has come between."""
     maps = []
     for camera in flight.cameras:
-        pinhole = replace(camera, intrinsics=replace(camera.intrinsics, distortion=(0.0, 0.0, 0.0, 0.0)))
+        pinhole = replace(camera, intrinsics=camera.intrinsics.undistorted())
         depth = true_depth(flight.scene, pinhole)
-        rgb = render_photo(flight.scene, pinhole, noise_grey=0.0)
         sigma = (sigma_ratio * depth).astype(np.float32)
-        maps.append(DepthMap(pinhole, depth, sigma, np.full(depth.shape, 3, np.uint8), rgb))
+        maps.append(DepthMap(pinhole, depth, sigma, np.full(depth.shape, 3, np.uint8), true_colours(flight, pinhole)))
     return maps
+
+
+def true_colours(flight: Flight, camera: Camera) -> Image:
+    """What a perfect sensor makes of the light (h, w, 3), always with the same exposure."""
+    i = camera.intrinsics
+    u, v = np.meshgrid(np.arange(i.width) + 0.5, np.arange(i.height) + 0.5)
+    rays = i.rays(np.column_stack([u.ravel(), v.ravel()])) @ camera.cam_from_world.rotation
+    light = flight.scene.radiance(camera.centre, rays, pixel_rad=1 / i.fx)
+    return as_colours(light.reshape(i.height, i.width, 3))
+
+
+def as_colours(light: Array32) -> Image:
+    """Light (..., 3) through a perfect sensor."""
+    return developed(light, QUIET, np.random.default_rng(0))
+
+
+def seen_from_above(
+    scene: Scene, east: ArrayLike, north: ArrayLike, *, pixel_m: float = 0.2
+) -> tuple[Array32, Array32]:
+    """Light (..., 3) and height (...,) of what is highest at plan positions (...)."""
+    plan = np.stack(np.broadcast_arrays(east, north), axis=-1)
+    start = np.column_stack([plan.reshape(-1, 2), np.full(plan[..., 0].size, ABOVE_M)])
+    down = np.broadcast_to(np.array([0, 0, -1], np.float32), start.shape)
+    light = scene.radiance(start, down, pixel_m=pixel_m)
+    up = ABOVE_M - scene.cast(start, down).distance
+    return light.reshape(*plan.shape[:-1], 3), up.reshape(plan.shape[:-1])
 
 
 def true_component(flight: Flight, *, per_photo: int = 400, seed: int = 5) -> Component:
     """The reconstruction of exact points, each seen by all cameras from which nothing hides it."""
     rng = np.random.default_rng(seed)
     points = np.concatenate([_surface_points(flight.scene, camera, rng, per_photo) for camera in flight.cameras])
-    cameras, indices, pixels = [], [], []
-    for k, camera in enumerate(flight.cameras):
-        px, seen = visible(flight.scene, camera, points)
-        cameras.append(np.full(np.count_nonzero(seen), k, np.int32))
-        indices.append(np.flatnonzero(seen).astype(np.int32))
-        pixels.append(px[seen])
-    colours = np.full((len(points), 3), 128, np.uint8)
-    observations = np.concatenate(cameras), np.concatenate(indices), np.concatenate(pixels)
-    return Component(flight.cameras, points, colours, *observations, reprojection_px=0.0)
 
+    def sees(camera: Camera, xyz: Array) -> Mask:
+        return flight.scene.cast(camera.centre, xyz - camera.centre).distance > 0.998
 
-def visible(scene: Scene, camera: Camera, points: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Pixels (n, 2) of points, and whether they are in the picture with nothing before them."""
-    i = camera.intrinsics
-    px = i.px_from_cam(camera.cam_from_world.apply(points))
-    with np.errstate(invalid="ignore"):
-        inside = (px >= 0).all(axis=1) & (px[:, 0] <= i.width) & (px[:, 1] <= i.height)
-    t, _, _ = scene.cast(camera.centre, points - camera.centre)
-    return px, inside & (t > 0.998)
+    return observed(flight.cameras, points, sees=sees)
 
 
 def _surface_points(scene: Scene, camera: Camera, rng: np.random.Generator, count: int) -> Array:
     i = camera.intrinsics
-    px = rng.uniform([0, 0], [i.width, i.height], (count, 2))
-    rays = i.rays(px) @ camera.cam_from_world.rotation
-    t, index, _ = scene.cast(camera.centre, rays)
-    hit = (index >= 0) & (t < 3 * HEIGHT_M)
-    return np.asarray(camera.centre + t[hit, None] * rays[hit])
-
-
-def _taken(scene: Scene, cameras: Sequence[Camera]) -> Flight:
-    images = {camera.image: render_photo(scene, camera, seed=k) for k, camera in enumerate(cameras)}
-    return Flight(scene, tuple(cameras), images)
-
-
-@cache
-def _rays(intrinsics: Intrinsics, subpixels: int) -> Array:
-    """Directions (n, 3), z = 1, through the centres of a raster `subpixels` times finer than the image's."""
-    width, height = intrinsics.width * subpixels, intrinsics.height * subpixels
-    u, v = np.meshgrid((np.arange(width) + 0.5) / subpixels, (np.arange(height) + 0.5) / subpixels)
-    return intrinsics.rays(np.column_stack([u.ravel(), v.ravel()]))
-
-
-def _oblique(rng: np.random.Generator) -> Iterator[Camera]:
-    for azimuth in np.radians(np.arange(0, 360, 30) + rng.uniform(-4, 4, 12)):
-        out = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
-        centre = HEIGHT_M * out + [0, 0, HEIGHT_M + rng.uniform(-2, 2)]
-        target = np.array([*rng.uniform(-6, 6, 2), 0.0])
-        yield Camera("", LENS, look_at(centre, target, roll_deg=rng.normal(scale=0.7)))
-    for east in (-22.0, 0.0, 22.0):
-        for north in (-16.0, 16.0):
-            yield _downwards(np.array([east, north]) + rng.uniform(-2, 2, 2), HEIGHT_M + 4, rng.uniform(0, 360), rng)
-
-
-def _nadir(rng: np.random.Generator) -> Iterator[Camera]:
-    for row, north in enumerate((-22.0, 0.0, 22.0)):
-        for east in (-30.0, -10.0, 10.0, 30.0):
-            heading = 0.0 if row % 2 else 180.0
-            yield _downwards(np.array([east, north]) + rng.uniform(-1, 1, 2), HEIGHT_M, heading + rng.normal(), rng)
-
-
-def _downwards(plan: Array, height: float, heading_deg: float, rng: np.random.Generator) -> Camera:
-    centre = np.array([*plan, height])
-    target = centre - [0, 0, height] + np.array([*rng.normal(scale=0.8, size=2), 0.0])
-    heading = np.radians(heading_deg)
-    return Camera("", LENS, look_at(centre, target, up=np.array([np.sin(heading), np.cos(heading), 0.0])))
+    rays = i.rays(rng.uniform([0, 0], [i.width, i.height], (count, 2))) @ camera.cam_from_world.rotation
+    distance = scene.cast(camera.centre, rays).distance.astype(np.float64)
+    hit = distance < 2.5 * STANDOFF_M
+    return np.asarray(camera.centre + distance[hit, None] * rays[hit])

@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flight import Flight, true_component, true_depth
-from scene import PLAIN_ROOF
+from flight import Flight, on_tent, true_component
 from skymoor.densify import SgmDepth
 from skymoor.densify._sgm import _Rectified, _rectify, _to_camera, _warp
 from skymoor.densify.neighbours import depth_range
+from skymoor.simulate.light.photo import true_depth
 from skymoor.types import Camera, DepthMap, Photos
 
 Array = NDArray[np.float64]
-OBLIQUE, NADIR = range(12), range(12, 18)
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +38,15 @@ def surface(camera: Camera, depth: Array) -> Array:
     return (camera.centre + depth.reshape(-1, 1) * rays).reshape(i.height, i.width, 3)
 
 
+def both_known(depth_map: DepthMap, truth: Array) -> NDArray[np.bool_]:
+    """A ray in a million slips between two triangles of the terrain: there is no truth there."""
+    return np.isfinite(depth_map.depth) & np.isfinite(truth)
+
+
 def plain_pixels(camera: Camera, depth: Array) -> NDArray[np.bool_]:
-    """Pixels a metre or more inside the roof that has no texture."""
+    """Pixels two metres or more inside the tent's roof, which has no texture."""
     xyz = surface(camera, depth)
-    return PLAIN_ROOF.inside(xyz[..., 0], xyz[..., 1], margin=1.0) & (xyz[..., 2] > 4)
+    return on_tent(xyz[..., 0], xyz[..., 1]) & (xyz[..., 2] > 4)
 
 
 def test_one_undistorted_map_per_photo(flight: Flight, maps: list[DepthMap]) -> None:
@@ -56,7 +60,7 @@ def test_one_undistorted_map_per_photo(flight: Flight, maps: list[DepthMap]) -> 
 def test_complete_and_accurate(maps: list[DepthMap], truths: list[Array]) -> None:
     errors = []
     for depth_map, truth in zip(maps, truths, strict=True):
-        known = np.isfinite(depth_map.depth)
+        known = both_known(depth_map, truth)
         assert known.mean() > 0.4
         error = (depth_map.depth[known] / truth[known]) - 1
         assert np.median(np.abs(error)) < 0.003
@@ -64,27 +68,26 @@ def test_complete_and_accurate(maps: list[DepthMap], truths: list[Array]) -> Non
     every = np.concatenate(errors)
     # Both sides: neither too near nor too far, and no better than a twentieth of a pixel's disparity can be.
     assert abs(np.median(every)) < 0.0004
-    assert 0.0001 < np.median(np.abs(every)) < 0.001
+    assert 0.0001 < np.median(np.abs(every)) < 0.0014
     assert np.mean(np.abs(every) > 0.01) < 0.04
 
 
 def test_sigma_says_how_wrong_depths_are(maps: list[DepthMap], truths: list[Array]) -> None:
-    normalised = np.concatenate(
-        [((m.depth - truth) / m.sigma)[np.isfinite(m.depth)] for m, truth in zip(maps, truths, strict=True)]
-    )
+    pairs = [(m, t, both_known(m, t)) for m, t in zip(maps, truths, strict=True)]
+    normalised = np.concatenate([((m.depth - t) / m.sigma)[known] for m, t, known in pairs])
     # The median of a normal distribution's absolute values is 0.67.
     assert 0.4 < np.median(np.abs(normalised)) < 1.0
-    relative = np.concatenate([(m.sigma / m.depth)[np.isfinite(m.depth)] for m in maps])
-    errors = np.concatenate([np.abs(m.depth / t - 1)[np.isfinite(m.depth)] for m, t in zip(maps, truths, strict=True)])
+    relative = np.concatenate([(m.sigma / m.depth)[known] for m, _, known in pairs])
+    errors = np.concatenate([np.abs(m.depth / t - 1)[known] for m, t, known in pairs])
     order = np.argsort(relative)
     thirds = [errors[part].mean() for part in np.array_split(order, 3)]
     assert thirds[0] < thirds[1] < thirds[2]
 
 
-def test_depths_from_above_are_more_certain_than_from_the_side(maps: list[DepthMap]) -> None:
+def test_depths_from_above_are_more_certain_than_from_the_side(flight: Flight, maps: list[DepthMap]) -> None:
     # Nearer, and at larger angles: the prediction must know the geometry.
-    oblique = np.nanmedian(np.concatenate([maps[k].sigma.ravel() for k in OBLIQUE]))
-    nadir = np.nanmedian(np.concatenate([maps[k].sigma.ravel() for k in NADIR]))
+    oblique = np.nanmedian(np.concatenate([maps[k].sigma.ravel() for k in flight.around]))
+    nadir = np.nanmedian(np.concatenate([maps[k].sigma.ravel() for k in flight.from_above]))
     assert nadir < oblique
 
 
@@ -93,11 +96,12 @@ def test_a_roof_without_texture_is_uncertain(maps: list[DepthMap], truths: list[
         plain = plain_pixels(depth_map.camera, truth)
         known = plain & np.isfinite(depth_map.depth)
         if known.sum() > 200:
-            rest = np.isfinite(depth_map.depth) & ~plain
-            assert np.median(depth_map.sigma[known]) > 20 * np.median(depth_map.sigma[rest])
+            elsewhere = np.median(depth_map.sigma[np.isfinite(depth_map.depth) & ~plain])
+            assert np.median(depth_map.sigma[known]) > 20 * elsewhere
+            assert (depth_map.sigma[known] < 20 * elsewhere).sum() < 0.05 * plain.sum()
 
 
-@pytest.mark.parametrize(("one", "other"), [(0, 1), (1, 0), (16, 17), (5, 4)])
+@pytest.mark.parametrize(("one", "other"), [(15, 14), (14, 15), (2, 11), (12, 0)])
 class TestRectification:
     """With true disparities in place of measured ones: no pixel convention may shift anything."""
 
@@ -109,7 +113,8 @@ class TestRectification:
         w, h = rect.size
         centres = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), axis=-1)
         rays = np.concatenate([(centres - [rect.cx, rect.cy]) / rect.focal, np.ones((h, w, 1))], axis=-1)
-        z, _, _ = flight.scene.cast(a.centre, rays.reshape(-1, 3) @ rect.rotation)
+        z = flight.scene.cast(a.centre, rays.reshape(-1, 3) @ rect.rotation).distance
+        z = np.minimum(z, 1e4)  # the sky
         return rect, centres, rect.focal * rect.baseline / z.reshape(h, w).astype(np.float64) - rect.d_min
 
     def test_depths_return_to_their_own_pixels(self, flight: Flight, truths: list[Array], one: int, other: int) -> None:
@@ -170,7 +175,7 @@ def test_smaller_maps_are_coarser_but_right(flight: Flight, truths: list[Array])
     assert small.depth.shape == (150, 200)
     assert small.camera.intrinsics == component.cameras[0].intrinsics.resized(200, 150).undistorted()
     truth = true_depth(flight.scene, small.camera)
-    error = (small.depth / truth - 1)[np.isfinite(small.depth)]
+    error = (small.depth / truth - 1)[np.isfinite(small.depth) & np.isfinite(truth)]
     assert abs(np.median(error)) < 0.001 and np.median(np.abs(error)) < 0.003
 
 

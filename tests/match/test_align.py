@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pictures import GRID, another_day, noise_picture, seen_through
-from scene import make_scene
+from pictures import GRID, Overhead, another_day, noise_picture, seen_through
 from skymoor.match import CyclicOptions, Placement, StructuralMatcher, match_placed
 from skymoor.match.align import lay
 from skymoor.types import Raster, Warp
@@ -78,13 +77,13 @@ class TestLay:
 
 @pytest.mark.parametrize("heading_deg", [0.0, 70.0, 205.0])
 @pytest.mark.parametrize("scale", [0.45, 1.2])
-def test_matches_of_a_placed_picture_are_exact(heading_deg: float, scale: float) -> None:
+def test_matches_of_a_placed_picture_are_exact(first_day: Overhead, heading_deg: float, scale: float) -> None:
     shape = (round(75 / scale), round(95 / scale))
     truth = Placement(scale, np.radians(heading_deg), (118.4, 97.7), 0.0).matrix(shape)
-    a = seen_through(make_scene(), lambda px: placed_points(truth, px), shape)
+    a = seen_through(first_day, lambda px: placed_points(truth, px), shape)
     assert a.height is not None
     a = Raster(a.rgb, a.mask, (a.height / np.float32(scale)).astype(np.float32))
-    b = another_day(seen_through(make_scene(), lambda px: px, GRID.shape))
+    b = another_day(seen_through(first_day, lambda px: px, GRID.shape))
     # The search is right to a degree, a percent and a pixel; what is left must not show in the matches.
     guess = Placement(1.01 * scale, np.radians(heading_deg + 0.8), (119.3, 97.1), 0.0).matrix(shape)
     matches, warp = match_placed(a, b, guess, StructuralMatcher(), rng=np.random.default_rng(0))

@@ -6,21 +6,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pictures import GRID, another_day, seen_through, without_heights
-from scene import Scene, make_scene
+from pictures import GRID, Overhead, another_day, seen_through, without_heights
 from skymoor.match import Placement, search_placements
 from skymoor.match.search import alike, distinct
 from skymoor.types import Raster
 
 
 @pytest.fixture(scope="module")
-def reference() -> Raster:
-    return another_day(seen_through(make_scene(cars_seed=1, sun_deg=(205.0, 40.0)), lambda px: px, GRID.shape))
+def reference(other_day: Overhead) -> Raster:
+    return another_day(seen_through(other_day, lambda px: px, GRID.shape))
 
 
-def placed(scene: Scene, truth: Placement, shape: tuple[int, int]) -> Raster:
+def placed(view: Overhead, truth: Placement, shape: tuple[int, int]) -> Raster:
     matrix = truth.matrix(shape)
-    raster = seen_through(scene, lambda px: px @ matrix[:, :2].T + matrix[:, 2], shape)
+    raster = seen_through(view, lambda px: px @ matrix[:, :2].T + matrix[:, 2], shape)
     assert raster.height is not None
     return Raster(raster.rgb, raster.mask, (raster.height / np.float32(truth.scale)).astype(np.float32))
 
@@ -36,9 +35,9 @@ CASES = {
     ("case", "heights"),
     [("fine pixels", True), ("fine pixels", False), ("coarse pixels", True), ("finest pixels", True)],
 )
-def test_a_picture_is_found(reference: Raster, case: str, heights: bool) -> None:
+def test_a_picture_is_found(reference: Raster, first_day: Overhead, case: str, heights: bool) -> None:
     truth, shape = CASES[case]
-    a, b = placed(make_scene(), truth, shape), reference
+    a, b = placed(first_day, truth, shape), reference
     if not heights:
         a, b = without_heights(a), without_heights(b)
     steps: list[tuple[int, int]] = []
@@ -54,23 +53,25 @@ def test_a_picture_is_found(reference: Raster, case: str, heights: bool) -> None
     assert abs(np.degrees(turn)) < 1.0
     assert abs(first.scale / truth.scale - 1) < 0.015
     assert np.hypot(*(np.array(first.place) - truth.place)) < 0.5
-    # Far above chance, and above the second place; not above what agreement of every pixel would give.
+    # Far above chance, and above the second place, though crossings resemble each other; a registration asks for 40
+    # and for 1.3 times the second. Not above what agreement of every pixel would give.
     assert 40 < first.score < np.sqrt(a.mask.sum() * truth.scale**2)
-    assert all(first.score > 1.6 * other.score for other in found[1:])
+    assert all(first.score > 1.4 * other.score for other in found[1:])
     assert [p.score for p in found] == sorted((p.score for p in found), reverse=True)
     assert steps[-1][0] == steps[-1][1] and [done for done, _ in steps] == sorted(done for done, _ in steps)
 
 
-def test_another_place_scores_like_chance(reference: Raster) -> None:
+def test_another_place_scores_like_chance(reference: Raster, next_door: Overhead) -> None:
     truth, shape = CASES["fine pixels"]
-    found = search_placements(placed(make_scene(3), truth, shape), reference, min_scale=0.45, max_scale=0.8)
-    assert 8 < found[0].score < 30
+    found = search_placements(placed(next_door, truth, shape), reference, min_scale=0.45, max_scale=0.8)
+    # Streets and roofs resemble each other; 40 is the least that a registration asks for.
+    assert 8 < found[0].score < 40
     assert found[0].score < 1.3 * found[1].score
 
 
-def test_a_picture_larger_than_the_reference_has_no_place(reference: Raster) -> None:
+def test_a_picture_larger_than_the_reference_has_no_place(reference: Raster, first_day: Overhead) -> None:
     truth, shape = CASES["fine pixels"]
-    a = placed(make_scene(), truth, shape)
+    a = placed(first_day, truth, shape)
     assert search_placements(a, reference, min_scale=6.0, max_scale=9.0) == []
 
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pictures import GRID, another_day, noise_picture, seen_through, without_heights
-from scene import make_scene
+from pictures import GRID, Overhead, another_day, noise_picture, seen_through, without_heights
 from skymoor.match import StructuralMatcher
 from skymoor.types import Raster, Warp
 
@@ -45,14 +44,14 @@ def inner(values: Array) -> Array:
 
 
 @pytest.fixture(scope="module")
-def first() -> Raster:
-    return seen_through(make_scene(), lambda px: px + [40, 30], SHAPE)
+def first(first_day: Overhead) -> Raster:
+    return seen_through(first_day, lambda px: px + [40, 30], SHAPE)
 
 
 @pytest.fixture(scope="module")
-def second() -> Raster:
+def second(first_day: Overhead) -> Raster:
     """Seen through the swell, with other radiometry and noise."""
-    return another_day(seen_through(make_scene(), lambda px: moved(px) + [40, 30], SHAPE))
+    return another_day(seen_through(first_day, lambda px: moved(px) + [40, 30], SHAPE))
 
 
 def test_a_picture_on_itself_has_no_flow(first: Raster) -> None:
@@ -96,22 +95,22 @@ def test_a_smooth_warp_comes_back_both_ways(first: Raster, second: Raster, heigh
         assert np.percentile(length, 95) < 0.9
 
 
-def test_another_sun_and_other_cars_leave_a_tenth_of_a_pixel(first: Raster) -> None:
-    scene = make_scene(cars_seed=1, sun_deg=(205.0, 40.0))
-    other = another_day(seen_through(scene, lambda px: moved(px) + [40, 30], SHAPE))
+def test_another_season_sun_and_cars_leave_a_quarter_of_a_pixel(first: Raster, other_day: Overhead) -> None:
+    other = another_day(seen_through(other_day, lambda px: moved(px) + [40, 30], SHAPE))
     warp = StructuralMatcher()(first, other)
     sure = inner(warp.confidence_b) > 0.3
     assert sure.mean() > 0.7
     error = inner(warp.a_from_b - moved(centres(SHAPE)))
-    assert np.abs(np.median(error[sure], axis=0)).max() < 0.15
+    # Shadows are longer, and lie elsewhere: they draw all matches a little to one side.
+    assert np.abs(np.median(error[sure], axis=0)).max() < 0.25
     length, confidence = np.linalg.norm(error, axis=-1), inner(warp.confidence_b)
     assert np.median(length[sure]) < 0.4
     doubtful, certain = (length[confidence < np.quantile(confidence, 0.15)], length[confidence > np.median(confidence)])
     assert doubtful.mean() > 1.3 * certain.mean()
 
 
-def test_another_place_is_not_confident(first: Raster) -> None:
-    other = another_day(seen_through(make_scene(3), lambda px: px + [40, 30], SHAPE))
+def test_another_place_is_not_confident(first: Raster, next_door: Overhead) -> None:
+    other = another_day(seen_through(next_door, lambda px: px + [40, 30], SHAPE))
     warp = StructuralMatcher()(first, other)
     assert inner(warp.confidence_a).mean() < 0.25
     assert (inner(warp.confidence_a) > 0.5).mean() < 0.05

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flight import HEIGHT_M, Flight, encoded, true_component, true_maps
-from scene import PLAIN_ROOF
+from flight import STANDOFF_M, Flight, as_colours, on_tent, seen_from_above, true_component, true_maps
 from skymoor.densify import SgmDepth
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
@@ -21,7 +20,7 @@ from skymoor.types import DepthMap, Render, View
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-LEVEL_FROM_ENU = Similarity(1 / HEIGHT_M, np.eye(3), np.zeros(3))
+LEVEL_FROM_ENU = Similarity(1 / STANDOFF_M, np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +35,7 @@ class Rendered:
 
     @property
     def error(self) -> Array:
-        return np.asarray(self.render.xyz[..., 2] * HEIGHT_M - self.true_height)
+        return np.asarray(self.render.xyz[..., 2] * STANDOFF_M - self.true_height)
 
     @property
     def inner(self) -> Mask:
@@ -45,12 +44,12 @@ class Rendered:
 
     @property
     def plain(self) -> Mask:
-        return PLAIN_ROOF.inside(self.east, self.north, margin=1.0)
+        return on_tent(self.east, self.north)
 
 
 def levelled(maps: list[DepthMap]) -> list[DepthMap]:
     return [
-        replace(m, camera=m.camera.moved(LEVEL_FROM_ENU), depth=m.depth / HEIGHT_M, sigma=m.sigma / HEIGHT_M)
+        replace(m, camera=m.camera.moved(LEVEL_FROM_ENU), depth=m.depth / STANDOFF_M, sigma=m.sigma / STANDOFF_M)
         for m in maps
     ]
 
@@ -63,9 +62,9 @@ def rendered(flight: Flight, model: MeshModel) -> Rendered:
     view = nadir_view(model.surface_points, model.pixel)
     render = model.render(view)
     u, v = np.meshgrid(np.arange(view.shape[1]) + 0.5, np.arange(view.shape[0]) + 0.5)
-    east, north = (view.x0 + u * view.pixel) * HEIGHT_M, -(view.y0 + v * view.pixel) * HEIGHT_M
-    rgb = encoded(flight.scene.colours_from_above(east, north)).astype(np.float64)
-    return Rendered(render, east, north, flight.scene.heights(east, north), rgb)
+    east, north = (view.x0 + u * view.pixel) * STANDOFF_M, -(view.y0 + v * view.pixel) * STANDOFF_M
+    light, up = seen_from_above(flight.scene, east, north, pixel_m=view.pixel * STANDOFF_M)
+    return Rendered(render, east, north, up.astype(np.float64), as_colours(light).astype(np.float64))
 
 
 @pytest.fixture(scope="module")
@@ -86,30 +85,30 @@ def measured(flight: Flight) -> Rendered:
 
 
 def test_pixel_is_a_photos_pixel_on_the_ground(exact_model: MeshModel) -> None:
-    assert 0.16 < exact_model.pixel * HEIGHT_M < 0.25
+    # 50 m and 78 m at 344 pixels, the latter foreshortened.
+    assert 0.15 < exact_model.pixel * STANDOFF_M < 0.28
 
 
 def test_every_ray_is_its_pixels_centre(exact: Rendered) -> None:
     known = np.isfinite(exact.render.xyz[..., 2])
-    assert np.abs(exact.render.xyz[..., 0] * HEIGHT_M - exact.east)[known].max() < 1e-4
-    assert np.abs(exact.render.xyz[..., 1] * HEIGHT_M - exact.north)[known].max() < 1e-4
+    assert np.abs(exact.render.xyz[..., 0] * STANDOFF_M - exact.east)[known].max() < 1e-4
+    assert np.abs(exact.render.xyz[..., 1] * STANDOFF_M - exact.north)[known].max() < 1e-4
 
 
 def test_heights_of_true_depths_have_no_bias(exact: Rendered) -> None:
     sure = exact.inner & (exact.render.confidence > 0.5)
     assert sure.sum() > 0.9 * exact.inner.sum()
     error = exact.error[sure]
-    # A third of a pixel of 0.22 m was the error of a wrong pixel convention: this bound is a twentieth.
+    # A third of a pixel of 0.26 m was the error of a wrong pixel convention: this bound is a twentieth.
     assert abs(np.median(error)) < 0.01
     assert np.median(np.abs(error)) < 0.02
 
 
 def test_edges_of_houses_are_in_place(exact: Rendered) -> None:
-    # Correlation of true and rendered heights is best at no shift: a plan shift of a pixel is 0.22 m.
-    height = np.where(np.isfinite(exact.error), exact.error + exact.true_height, 0)
-    window = (slice(200, -200), slice(200, -200))
+    # Correlation of true and rendered heights is best at no shift: a plan shift of a pixel is 0.26 m.
+    height = exact.error + exact.true_height
     scores = {
-        (dv, du): np.mean(np.abs(np.roll(height, (dv, du), (0, 1))[window] - exact.true_height[window]))
+        (dv, du): np.nanmean(np.abs(np.roll(height, (dv, du), (0, 1)) - exact.true_height)[exact.inner])
         for dv in (-1, 0, 1)
         for du in (-1, 0, 1)
     }
@@ -117,12 +116,13 @@ def test_edges_of_houses_are_in_place(exact: Rendered) -> None:
 
 
 def test_colours_are_those_from_above(exact: Rendered, measured: Rendered) -> None:
-    for case, limit in ((exact, 5.0), (measured, 6.0)):
+    for case, limit in ((exact, 3.0), (measured, 5.0)):
         known = case.inner & np.isfinite(case.error)
-        difference = np.abs(case.render.rgb - case.true_rgb).mean(axis=-1)
-        assert 0.5 < np.median(difference[known]) < limit
-        grey = case.render.rgb.mean(axis=-1), case.true_rgb.mean(axis=-1)
-        assert np.corrcoef(grey[0][known], grey[1][known])[0, 1] > 0.93
+        mine, true = case.render.rgb[known].astype(float), case.true_rgb[known]
+        if case is measured:  # by photos that were metered, each for itself
+            mine = np.column_stack([np.polyval(np.polyfit(a, b, 1), a) for a, b in zip(mine.T, true.T, strict=True)])
+        assert 0.5 < np.median(np.abs(mine - true).mean(axis=1)) < limit
+        assert np.corrcoef(mine.mean(axis=1), true.mean(axis=1))[0, 1] > 0.93
 
 
 def test_measured_heights(measured: Rendered) -> None:
@@ -136,7 +136,7 @@ def test_measured_heights(measured: Rendered) -> None:
 def test_what_is_confident_is_right(measured: Rendered) -> None:
     confidence = measured.render.confidence
     sure = measured.inner & (confidence > 0.5)
-    assert np.percentile(np.abs(measured.error[sure]), 95) < 0.25
+    assert np.percentile(np.abs(measured.error[sure]), 95) < 0.3
     bins = [(0.01, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 1.01)]
     means = []
     for low, high in bins:
@@ -188,7 +188,7 @@ def test_an_oblique_view_hits_the_same_surface(flight: Flight, exact_model: Mesh
     tilt = np.radians(30)
     c, s = np.cos(tilt), np.sin(tilt)
     rotation = np.array([[1, 0, 0], [0, -c, -s], [0, s, -c]])
-    view = View(rotation, -20 / HEIGHT_M, -15 / HEIGHT_M, 0.25 / HEIGHT_M, (120, 160))
+    view = View(rotation, -20 / STANDOFF_M, -15 / STANDOFF_M, 0.25 / STANDOFF_M, (120, 160))
     render = exact_model.render(view)
     xyz = render.xyz.reshape(-1, 3).astype(np.float64)
     sure = render.confidence.ravel() > 0.6
@@ -197,8 +197,8 @@ def test_an_oblique_view_hits_the_same_surface(flight: Flight, exact_model: Mesh
     u, v = np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5)
     assert np.abs(on_ray[sure, 0] - (view.x0 + u.ravel()[sure] * view.pixel)).max() < 1e-5
     assert np.abs(on_ray[sure, 1] - (view.y0 + v.ravel()[sure] * view.pixel)).max() < 1e-5
-    world = xyz[sure] * HEIGHT_M
-    gap = world[:, 2] - flight.scene.heights(world[:, 0], world[:, 1])
+    world = xyz[sure] * STANDOFF_M
+    gap = world[:, 2] - seen_from_above(flight.scene, world[:, 0], world[:, 1])[1]
     assert np.median(np.abs(gap)) < 0.03  # walls stand below the roofs that are seen from above
 
 

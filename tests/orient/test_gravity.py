@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from blocks import ground_points, observed
-from flight import LENS, look_at
+from blocks import LENS, ground_points, look_at, observed, ring, strips
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
 from skymoor.orient import estimate_gravity, level_from_gravity
@@ -19,32 +18,6 @@ from skymoor.types import Array, Camera, Component, Gravity
 HIDDEN = Similarity(0.37, Rotation.from_euler("zyx", [40, -115, 70], degrees=True).as_matrix(), [3.0, -8.0, 2.0])
 UP = HIDDEN.rotation[:, 2]
 SIDEWAYS = Rotation.from_euler("z", 90, degrees=True).as_matrix()
-
-
-def ring(
-    n: int = 16, *, roll_deg: float = 0.5, common_roll_deg: float = 0.0, depression_deg: float = 45
-) -> list[Camera]:
-    """Cameras around the site at 60 m that look at its middle."""
-    rng = np.random.default_rng(3)
-    out = 60 / np.tan(np.radians(depression_deg))
-    cameras = []
-    for k, azimuth in enumerate(np.linspace(0, 2 * np.pi, n, endpoint=False)):
-        centre = np.array([out * np.sin(azimuth), out * np.cos(azimuth), 60.0])
-        pose = look_at(centre, np.zeros(3), roll_deg=common_roll_deg + rng.normal(scale=roll_deg))
-        cameras.append(Camera(f"{k}", LENS, pose))
-    return cameras
-
-
-def strips(*, heading_deg: float = 0.0, tilt_deg: float = 1.0) -> list[Camera]:
-    """Vertical photos from one height, all with one heading."""
-    rng = np.random.default_rng(4)
-    north = np.array([np.sin(np.radians(heading_deg)), np.cos(np.radians(heading_deg)), 0.0])
-    cameras = []
-    for e in (-30.0, -10.0, 10.0, 30.0):
-        for n in (-20.0, 0.0, 20.0):
-            target = np.array([e, n, 0.0]) + np.tan(np.radians(tilt_deg)) * 60 * np.array([*rng.normal(size=2), 0])
-            cameras.append(Camera(f"{e},{n}", LENS, look_at(np.array([e, n, 60.0]), target, up=north)))
-    return cameras
 
 
 def hidden(cameras: list[Camera], points: Array) -> Component:

@@ -6,8 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blocks import observed
-from flight import LENS, look_at
+from blocks import LENS, look_at, observed
 from skymoor.geometry.similarity import Similarity
 from skymoor.orient import GroundLabeler, estimate_gravity, ground_points
 from skymoor.types import Array, Camera, Component, Image, Mask, Photos

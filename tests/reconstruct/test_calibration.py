@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from blocks import block
-from flight import LENS
+from blocks import LENS, block
 from skymoor.colmap import colmap_from_component
 from skymoor.geometry.similarity import umeyama
 from skymoor.reconstruct import with_focal

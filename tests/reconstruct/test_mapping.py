@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flight import Flight
-from scene import make_scene
+from flight import STANDOFF_M, Flight
 from skymoor.geometry.similarity import Similarity, umeyama
 from skymoor.reconstruct import ReconstructOptions, SiftMatcher, reconstruct
 from skymoor.reconstruct.mapping import _worth_keeping
+from skymoor.simulate.light.photo import Sensor, take_photo
 from skymoor.types import Camera, Component, Image, Photos
 
 Array = NDArray[np.float64]
@@ -22,8 +22,12 @@ def photos_of(images: dict[str, Image]) -> Photos:
     return Photos(tuple(images), sizes, images.__getitem__)
 
 
+def photos_from_above(flight: Flight) -> Photos:
+    return photos_of({flight.cameras[k].image: flight.images[flight.cameras[k].image] for k in flight.from_above})
+
+
 def true_cameras(component: Component, flight: Flight) -> list[Camera]:
-    by_name = {camera.image: camera for camera in flight.cameras}
+    by_name = {camera.image.rpartition("/")[2]: camera for camera in flight.cameras}
     return [by_name[camera.image.rpartition("/")[2]] for camera in component.cameras]
 
 
@@ -48,30 +52,33 @@ def component(flight: Flight) -> Component:
 def test_every_photo_is_in_the_right_place(component: Component, flight: Flight) -> None:
     assert sorted(c.image for c in component.cameras) == sorted(flight.photos.names)
     error = camera_errors_m(component, flight)
-    assert error.mean() < 0.002 * flight.standoff_m
-    assert error.mean() > 1e-5 * flight.standoff_m
+    assert error.mean() < 0.002 * STANDOFF_M
+    assert error.mean() > 1e-5 * STANDOFF_M
     similarity = enu_from_sfm(component, flight)
     for camera, truth in zip(component.cameras, true_cameras(component, flight), strict=True):
         turn = camera.moved(similarity).cam_from_world.rotation @ truth.cam_from_world.rotation.T
-        assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 0.2
+        assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 0.3
 
 
 def test_the_lens_is_found_and_certain(component: Component, flight: Flight) -> None:
     found, true = component.cameras[0].intrinsics, flight.cameras[0].intrinsics
-    assert found.fx == pytest.approx(true.fx, rel=0.005)
-    assert found.cx == pytest.approx(true.cx, abs=0.7) and found.cy == pytest.approx(true.cy, abs=0.7)
+    # A ring that looks down at 55 degrees leaves the lens less certain than a flatter one would.
+    assert found.fx == pytest.approx(true.fx, rel=0.01)
+    assert found.cx == pytest.approx(true.cx, abs=2.0) and found.cy == pytest.approx(true.cy, abs=2.0)
     assert found.distortion[0] == pytest.approx(true.distortion[0], abs=0.01)
     assert (found.width, found.height) == (400, 300)
     assert component.calibration is not None
     assert component.calibration.shared_intrinsics and not component.calibration.uncertain
     assert component.calibration.focal_px == pytest.approx(found.fx)
+    ratio = true.fx / found.fx
+    assert component.calibration.focal_low_ratio < ratio < component.calibration.focal_high_ratio
 
 
 def test_points_lie_on_the_surface_in_its_colours(component: Component, flight: Flight) -> None:
     assert len(component.points) > 1500
     xyz = enu_from_sfm(component, flight).apply(component.points)
     centre = true_cameras(component, flight)[0].centre
-    t, _, _ = flight.scene.cast(centre, xyz - centre)
+    t = flight.scene.cast(centre, xyz - centre).distance
     mine = np.unique(component.obs_point[component.obs_camera == 0])
     assert np.median(np.abs(t[mine] - 1)) < 0.002
     grey = component.colours.astype(float).mean(axis=1)
@@ -94,20 +101,23 @@ def test_observations_agree_with_the_cameras(component: Component) -> None:
 
 
 def test_two_places_are_two_components(flight: Flight) -> None:
-    elsewhere = flight.with_scene(make_scene(3), [0, 1, 2, 3])
-    names = ("photo_00.jpg", "photo_01.jpg", "photo_02.jpg", "photo_16.jpg", "photo_17.jpg")
-    images = {f"b/{name}": image for name, image in elsewhere.images.items()}
-    images |= {f"a/{name}": flight.images[name] for name in names}
+    # Four of the cameras look at a neighbourhood 170 m away instead.
+    away = Similarity(1.0, np.eye(3), np.array([170.0, 0.0, 0.0]))
+    elsewhere = [flight.cameras[k] for k in flight.around[:4]]
+    here = [flight.cameras[k] for k in (*flight.around[4:7], *flight.from_above[:2])]
+    rng = np.random.default_rng(1)
+    images = {f"b/{c.image}": take_photo(flight.scene, c.moved(away), Sensor(), rng) for c in elsewhere}
+    images |= {f"a/{c.image}": flight.images[c.image] for c in here}
     matcher = SiftMatcher(max_features=2000)
     first, second = reconstruct(photos_of(images), ReconstructOptions(matcher), seed=2)
-    assert {c.image for c in first.cameras} == {f"a/{name}" for name in names}
-    assert {c.image for c in second.cameras} == {f"b/{name}" for name in elsewhere.images}
+    assert {c.image for c in first.cameras} == {f"a/{c.image}" for c in here}
+    assert {c.image for c in second.cameras} == {f"b/{c.image}" for c in elsewhere}
     for component in (first, second):
-        assert camera_errors_m(component, flight).mean() < 0.01 * flight.standoff_m
+        assert camera_errors_m(component, flight).mean() < 0.01 * STANDOFF_M
 
 
 def test_the_same_seed_gives_the_same_reconstruction(flight: Flight) -> None:
-    some = photos_of({name: flight.images[name] for name in list(flight.images)[12:]})
+    some = photos_from_above(flight)
     options = ReconstructOptions(SiftMatcher(max_features=1500))
     (a,), (b,) = (reconstruct(some, options, seed=5) for _ in range(2))
     assert [c.image for c in a.cameras] == [c.image for c in b.cameras] == list(some.names)
@@ -144,7 +154,7 @@ def test_models_whose_photos_are_all_in_larger_ones_are_dropped() -> None:
 
 
 def test_photos_of_two_sizes_are_two_cameras(flight: Flight) -> None:
-    names = list(flight.images)[12:]
+    names = [flight.cameras[k].image for k in flight.from_above]
     images = {name: flight.images[name] for name in names}
     images[names[0]] = images[names[0]][:, :390]
     (component,) = reconstruct(photos_of(images), ReconstructOptions(SiftMatcher(max_features=1500)), seed=5)

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from blocks import LENS, look_at
 from comparators import assert_similarity_near
-from flight import LENS, look_at
 from skymoor.errors import TooFewMatches
 from skymoor.geo.frame import EnuFrame
 from skymoor.geo.grid import Grid

@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from scene import make_scene
+from pictures import Overhead
 from skymoor.register import Relief, ReliefOptions, compare_relief, focal_correction
 from skymoor.types import Calibration
 
@@ -15,10 +15,10 @@ PIXEL_M = 0.5
 
 
 @pytest.fixture(scope="module")
-def truth() -> Array:
+def truth(first_day: Overhead) -> Array:
     """Heights of the small world, 90 by 80 m."""
     east, north = np.meshgrid(np.arange(-45, 45, PIXEL_M), np.arange(40, -40, -PIXEL_M))
-    return make_scene().heights(east, north)
+    return first_day.heights_at(np.stack([east, north], axis=-1)).astype(np.float64)
 
 
 def noisy(height: Array, sigma: float, seed: int) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from flight import look_at
+from blocks import look_at
 from skymoor.geometry.camera import Intrinsics
 from skymoor.simulate.light.pages import WHITE, Pages
 from skymoor.simulate.light.photo import Sensor, developed, take_photo, true_depth, true_labels

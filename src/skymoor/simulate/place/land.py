@@ -100,7 +100,7 @@ def terrain(land: Land, radius_m: float, extent_m: float, near_page: int, far_pa
     Both pages are centred on the origin, `near_page` reaching to `radius_m` and `far_page` to `extent_m`.
     """
     near = _lattice(np.linspace(-radius_m, radius_m, int(radius_m / 0.75) * 2 + 1), land.height, radius_m, near_page)
-    # The rings share no vertices with what is inside of them: let them begin a little lower and further in.
+    # The rings share no vertices with what is inside of them: one ray in some hundred thousand slips through.
     outer = _ring(land, extent_m, radius_m, 4.0, extent_m, far_page)
     far = _ring(land, FAR_M, extent_m, 60.0, extent_m, far_page)
     return join([near, outer, far])
