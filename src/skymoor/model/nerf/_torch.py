@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How this package uses PyTorch on the machine that it is on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+
+import torch
+
+from skymoor.errors import BackendUnavailable
+
+Precision = AbstractContextManager[object]
+
+
+def choose_device(name: str) -> torch.device:
+    """`auto` takes CUDA where there is one. Raises `BackendUnavailable` when CUDA is asked for and missing."""
+    found = torch.cuda.is_available()
+    if name == "cuda" and not found:
+        raise BackendUnavailable("model.nerf.device = cuda, but PyTorch sees no CUDA device: take cpu or auto")
+    return torch.device("cuda" if name == "cuda" or (name == "auto" and found) else "cpu")
+
+
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """Work with so many threads, then with as many as before; 0 leaves the number as it is."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def mlp_precision(device: torch.device) -> Precision:
+    """Half precision for the small networks, only where the hardware computes in it; elsewhere it is emulated."""
+    if device.type == "cuda":
+        return torch.autocast("cuda", torch.bfloat16) if torch.cuda.is_bf16_supported() else nullcontext()
+    able = any(
+        bool(getattr(torch.cpu, name, lambda: False)())
+        for name in ("_is_avx512_bf16_supported", "_is_amx_tile_supported")
+    )
+    return torch.autocast("cpu", torch.bfloat16) if able else nullcontext()

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Training: a budget of time and steps, resumable in the middle."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from skymoor.errors import DegenerateGeometry
+from skymoor.model.nerf import losses
+from skymoor.model.nerf.field import Field
+from skymoor.model.nerf.options import LossWeights
+from skymoor.model.nerf.photos import Pixels, Rays
+from skymoor.model.nerf.sampling import Proposal, between, composite, sample_measured, sample_proposal
+from skymoor.types import Progress
+
+Report = Callable[[Mapping[str, float]], None]
+
+HALF_SIZE_UNTIL = 0.3  # of the training: averaged pixels teach more per ray at first
+RANKING_FROM = 0.25
+WARM_UP_STEPS = 50
+DECAY = 0.1
+MEASURED_SHARE = 0.6  # of the samples of a ray with a measured depth
+REPORT_STEPS = 20
+BAD_STEPS = 20  # in a row, with a loss that is no number
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """How long, and where to keep what is needed to go on.
+
+    Attributes:
+        budget_s: seconds on the clock, 0 for no limit. A training that the clock ends is not repeatable to the bit.
+        checkpoint: file that is written every `checkpoint_s` seconds and read if it is there; None for none.
+        key: what the checkpoint is good for; one with another key is ignored.
+    """
+
+    budget_s: float = 0.0
+    checkpoint: Path | None = None
+    checkpoint_s: float = 30.0
+    key: str = ""
+
+
+class Trainer:
+    """A field in training. `run` does all of it; `step` one step."""
+
+    def __init__(
+        self,
+        field: Field,
+        proposal: Proposal,
+        pixels: tuple[Pixels, Pixels],
+        log_gains: Tensor,
+        weights: LossWeights,
+        seed: int,
+        *,
+        pixel_inner: float,
+    ) -> None:
+        """`pixels` are the photos at half size and in full, `log_gains` (n, 3) their exposures; `pixel_inner` is the
+        size of a photo's pixel on the ground."""
+        self.field, self.proposal, self.pixels = field, proposal, pixels
+        self.weights, self.sizes = weights, field.sizes
+        self._gains = log_gains.exp()
+        self._sigma_floor = weights.depth_sigma_px * pixel_inner
+        self._generator = torch.Generator().manual_seed(seed)
+        self.steps, self.seconds, self._bad = 0, 0.0, 0
+        table = [p for name, p in field.named_parameters() if name.startswith("grid")]
+        others = [p for name, p in field.named_parameters() if not name.startswith("grid")]
+        groups = [{"params": table, "lr": 0.0}, {"params": others, "lr": 0.0}]
+        self._rates = (self.sizes.table_rate, self.sizes.mlp_rate)
+        self._optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+
+    def run(self, schedule: Schedule, progress: Progress, report: Report | None = None) -> None:
+        """Train until the steps or the seconds are used up.
+
+        Raises `DegenerateGeometry` when the loss stops being a number.
+        """
+        self._resume(schedule)
+        begun, saved = time.monotonic() - self.seconds, time.monotonic()
+        while self.steps < self.sizes.iterations:
+            self.seconds = time.monotonic() - begun
+            if schedule.budget_s and self.seconds >= schedule.budget_s:
+                break
+            done = max(self.steps / self.sizes.iterations, self.seconds / (schedule.budget_s or math.inf))
+            found = self.step(done)
+            if self.steps % REPORT_STEPS == 0:
+                progress(round(1000 * done), 1000)
+                if report is not None:
+                    left = self.seconds * (1 / max(done, 1e-3) - 1)
+                    report({"step": self.steps, "left_s": left, **{k: float(v) for k, v in found.items()}})
+            if schedule.checkpoint is not None and time.monotonic() - saved > schedule.checkpoint_s:
+                self.save(schedule.checkpoint, schedule.key)
+                saved = time.monotonic()
+        progress(1000, 1000)
+
+    def step(self, done: float) -> dict[str, Tensor]:
+        """One step, when the share `done` of the training is behind; gives psnr (dB) and depth error (inner units)."""
+        for group, rate in zip(self._optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * min(1.0, (self.steps + 1) / WARM_UP_STEPS) * DECAY ** max(0.0, (done - 0.2) / 0.8)
+        pixels = self.pixels[0 if done < HALF_SIZE_UNTIL else 1]
+        rays = pixels.rays(pixels.draw(self.sizes.rays, self._generator))
+        self._optimiser.zero_grad(set_to_none=False)
+        loss, found = self._loss(rays, ranked=done >= RANKING_FROM)
+        self.steps += 1
+        if not torch.isfinite(loss):
+            self._bad += 1
+            if self._bad >= BAD_STEPS:
+                raise DegenerateGeometry("the training of the radiance field diverged: lower its learning rates")
+            return found
+        self._bad = 0
+        loss.backward()  # type: ignore[no-untyped-call]
+        self._optimiser.step()
+        return found
+
+    def _loss(self, rays: Rays, *, ranked: bool) -> tuple[Tensor, dict[str, Tensor]]:
+        valid, weights = rays.valid, self.weights
+        near, far = rays.near, torch.where(valid, rays.far, rays.near + 1.0)
+        sigma = rays.sigma.clamp(min=self._sigma_floor)
+        depth = torch.where(valid & (rays.depth > near) & (rays.depth < far), rays.depth, torch.nan)
+        with torch.no_grad():
+            t = self._samples(rays, near, far, depth, sigma)
+            unit = self.field.box.unit_from_inner(
+                (rays.origin[:, None] + t[..., None] * rays.direction[:, None]).view(-1, 3)
+            )
+        draws = self._uniform(len(unit), 3).to(unit.device)
+        count = t.shape[1]
+        direction, image = rays.direction.repeat_interleave(count, 0), rays.image.repeat_interleave(count)
+        density, colour = self.field(unit, direction, image, draws)
+        self.proposal.update(unit, density.detach())
+        seen = composite(density.view(t.shape), t, far)
+        rgb = (seen.weights[..., None] * between(colour.view(*t.shape, 3))).sum(dim=1) * self.field.gains(rays.image)
+        target = rays.rgb / self._gains[rays.image]
+        # Light that passes through the slab has some colour, but none that teaches: the mean.
+        rgb = rgb + (1 - seen.opacity[:, None]) * target.mean(dim=0)
+        error = torch.where(valid[:, None], rgb - target, 0.0)
+        terms = {
+            "photometric": losses.photometric_loss(error, torch.zeros_like(error)),
+            "depth": losses.depth_loss(seen.weights, seen.edges, depth, sigma),
+            "line_of_sight": losses.line_of_sight_loss(seen.weights, seen.centres, depth, sigma),
+            "distortion": losses.distortion_loss(seen.weights * valid[:, None], seen.centres, seen.edges),
+            "opacity": losses.opacity_loss(seen.opacity, self._must_end(rays)),
+        }
+        if ranked and self.pixels[0].relative is not None:
+            terms["ranking"] = self._ranking(seen.mean, rays, depth)
+        total = torch.stack([getattr(weights, name) * term for name, term in terms.items() if getattr(weights, name)])
+        gap = (seen.median - depth).abs().detach()
+        psnr = -10 * torch.log10((error.detach()[valid] ** 2).mean())
+        loss = total.sum()
+        return loss, {"psnr_db": psnr, "depth_error": gap[torch.isfinite(gap)].nanmedian(), "loss": loss.detach()}
+
+    def _samples(self, rays: Rays, near: Tensor, far: Tensor, depth: Tensor, sigma: Tensor) -> Tensor:
+        sizes, n = self.sizes, len(near)
+        jitter = self._uniform(n, sizes.samples).to(near.device)
+        normal = torch.randn(n, round(MEASURED_SHARE * sizes.samples), generator=self._generator).to(near.device)
+        weights = self.proposal.weights(rays.origin, rays.direction, near, far, sizes.bins)
+        t = sample_proposal(weights, near, far, sizes.samples, jitter)
+        return sample_measured(t, depth, sigma, normal)
+
+    def _must_end(self, rays: Rays) -> Tensor:
+        """Rays that leave the slab through the site's ground."""
+        leave = rays.origin + rays.far[:, None] * rays.direction
+        return rays.valid & (leave[:, :2].abs().amax(dim=-1) < self.field.box.half)
+
+    def _ranking(self, mean: Tensor, rays: Rays, depth: Tensor) -> Tensor:
+        pairs = [x.view(-1, 2) for x in (mean, rays.relative, depth, rays.valid)]
+        counts = pairs[3].all(dim=1) & ~torch.isfinite(pairs[2]).all(dim=1)
+        return losses.ranking_loss(pairs[0], pairs[1], counts, margin=1e-4 * 2 * self.field.box.half)
+
+    def _uniform(self, *shape: int) -> Tensor:
+        return torch.rand(shape, generator=self._generator)
+
+    def save(self, path: Path, key: str = "") -> None:
+        """Write all that a later `run` needs to go on as if it had not been interrupted."""
+        state: dict[str, Any] = {
+            "key": key,
+            "field": self.field.state_dict(),
+            "optimiser": self._optimiser.state_dict(),
+            "proposal": self.proposal.density,
+            "generator": self._generator.get_state(),
+            "steps": self.steps,
+            "seconds": self.seconds,
+        }
+        fresh = path.with_name(path.name + ".part")
+        torch.save(state, fresh)
+        fresh.replace(path)
+
+    def _resume(self, schedule: Schedule) -> None:
+        path = schedule.checkpoint
+        if path is None or not path.exists():
+            return
+        try:
+            state = torch.load(path, map_location=self.proposal.density.device, weights_only=True)
+        except (OSError, RuntimeError, EOFError, ValueError):
+            return  # cut off while it was written, on a disk that was full: begin again
+        if state.get("key") != schedule.key:
+            return
+        self.field.load_state_dict(state["field"])
+        self._optimiser.load_state_dict(state["optimiser"])
+        self.proposal.density.copy_(state["proposal"])
+        self._generator.set_state(state["generator"].cpu())
+        self.steps, self.seconds = int(state["steps"]), float(state["seconds"])
