@@ -33,6 +33,8 @@ FASTER = (
     "match.max_height_m=100",
     "--set",
     "reconstruct.matcher.max_features=2500",
+    "--set",
+    "model.kind=mesh",
 )
 PLACE = ("lat", "lon", "height", "east", "north", "up", "qw", "ce90", "le90")
 

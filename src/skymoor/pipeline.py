@@ -24,6 +24,7 @@ from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
 from skymoor.lift import lift
 from skymoor.match import Placement, match_placed, search_placements
+from skymoor.model import SceneModel
 from skymoor.orient import estimate_gravity, level_from_gravity
 from skymoor.overlay import lay_on_reference, nadir_raster, reference_raster
 from skymoor.reconstruct import reconstruct, with_focal
@@ -118,7 +119,7 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
         gravity = estimate_gravity(component, options.orient, rng=np.random.default_rng(job.seed))
         level_from_sfm = level_from_gravity(component, gravity)
         level = component.moved(level_from_sfm)
-        render = _render_nadir(name, level, _densify(name, level, job, source), job)
+        render = _render_nadir(name, _model(name, level, _densify(name, level, job, source), job), job)
     except DegenerateGeometry as error:
         refused = Registration(registered=False, reason=str(error), enu_from_level=None)
         return Placed(component, Similarity.identity(), refused)
@@ -155,20 +156,25 @@ def _densify(name: str, level: Component, job: Job, source: str) -> list[DepthMa
     return depths
 
 
-def _render_nadir(name: str, level: Component, depths: Sequence[DepthMap], job: Job) -> Render:
-    options = job.options
+def _model(name: str, level: Component, depths: Sequence[DepthMap], job: Job) -> SceneModel:
+    builder = job.options.model.builder
+    return job.store.stage(
+        f"{name}.model",
+        lambda: builder(level, depths, progress=job.track("model"), checkpoint=job.store.scratch(f"{name}.model")),
+        options=builder,
+        after=[f"{name}.depths"],
+        code=[skymoor.model, "skymoor.raycast"],
+    )
 
-    def compute() -> Render:
-        model = options.model(level, depths, progress=job.track("mesh"))
-        view = nadir_view(model.surface_points, model.pixel, options.render)
-        return model.render(view, progress=job.track("nadir view"))
 
+def _render_nadir(name: str, model: SceneModel, job: Job) -> Render:
+    options = job.options.render
     return job.store.stage(
         f"{name}.nadir",
-        compute,
-        options=(options.model, options.render),
-        after=[f"{name}.depths"],
-        code=[skymoor.model, skymoor.render, "skymoor.raycast"],
+        lambda: model.render(nadir_view(model.surface_points, model.pixel, options), progress=job.track("nadir view")),
+        options=options,
+        after=[f"{name}.model"],
+        code=[skymoor.render],
     )
 
 

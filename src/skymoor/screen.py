@@ -18,6 +18,8 @@ from rich.table import Table
 from skymoor.evaluate import EvaluationRow
 from skymoor.types import Progress
 
+NOTE_S = 20.0  # between two lines of one stage in a pipe
+
 
 class Screen:
     """Shows progress: bars on a terminal, one line per finished stage elsewhere."""
@@ -31,6 +33,7 @@ class Screen:
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}"),
             console=self._console,
             disable=self._plain,
         )
@@ -48,8 +51,12 @@ class Screen:
         """A progress callback for a stage."""
         if self._plain:
             return _Lines(name, self._console)
-        task = self._bars.add_task(name, total=None)
-        return lambda done, total: self._bars.update(task, completed=done, total=total)
+        task = self._bars.add_task(name, total=None, note="")
+
+        def update(done: int, total: int, note: str = "", /) -> None:
+            self._bars.update(task, completed=done, total=total, note=note)
+
+        return update
 
     def note(self, text: str) -> None:
         """One line."""
@@ -65,11 +72,16 @@ class _Lines:
     name: str
     console: Console
     start: float | None = None
+    told: float = 0.0
 
-    def __call__(self, done: int, total: int) -> None:
-        self.start = self.start or time.monotonic()
+    def __call__(self, done: int, total: int, note: str = "", /) -> None:
+        now = time.monotonic()
+        self.start = self.start or now
         if done >= total:
-            self.console.print(f"{self.name}: {total} done in {time.monotonic() - self.start:.0f} s", markup=False)
+            self.console.print(f"{self.name}: {total} done in {now - self.start:.0f} s", markup=False)
+        elif note and now - (self.told or self.start) > NOTE_S:
+            self.told = now
+            self.console.print(f"{self.name}: {note}", markup=False)
 
 
 def summary_table(summary: dict[str, Any]) -> Table:

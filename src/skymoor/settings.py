@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from skymoor.densify import SgmDepth
 from skymoor.lift import LiftOptions
 from skymoor.match import CyclicOptions, SearchOptions, StructuralMatcher
-from skymoor.model import MeshBuilder
+from skymoor.model import MeshBuilder, NerfBuilder, SceneBuilder
 from skymoor.orient import OrientOptions
 from skymoor.reconstruct import ReconstructOptions
 from skymoor.register import RegisterOptions, ReliefOptions
@@ -35,13 +36,32 @@ class MatchOptions:
 
 
 @dataclass(frozen=True)
+class ModelOptions:
+    """Which model of the airborne set is rendered.
+
+    Attributes:
+        kind: "nerf" for the radiance field, "mesh" for fused depth maps, which takes seconds.
+        nerf, mesh: how each is built.
+    """
+
+    kind: Literal["nerf", "mesh"] = "nerf"
+    nerf: NerfBuilder = field(default_factory=NerfBuilder)
+    mesh: MeshBuilder = field(default_factory=MeshBuilder)
+
+    @property
+    def builder(self) -> SceneBuilder:
+        """The chosen one."""
+        return self.nerf if self.kind == "nerf" else self.mesh
+
+
+@dataclass(frozen=True)
 class Options:
     """Every option of every stage, by its dotted name."""
 
     reconstruct: ReconstructOptions = field(default_factory=ReconstructOptions)
     orient: OrientOptions = field(default_factory=OrientOptions)
     densify: SgmDepth = field(default_factory=SgmDepth)
-    model: MeshBuilder = field(default_factory=MeshBuilder)
+    model: ModelOptions = field(default_factory=ModelOptions)
     render: RenderOptions = field(default_factory=RenderOptions)
     match: MatchOptions = field(default_factory=MatchOptions)
     lift: LiftOptions = field(default_factory=LiftOptions)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +24,14 @@ Array32 = NDArray[np.float32]
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-Progress = Callable[[int, int], None]
-"""Called with (steps done, steps in all)."""
+
+class Progress(Protocol):
+    """Called with steps done and steps in all, and now and then with a line about how it goes."""
+
+    def __call__(self, done: int, total: int, note: str = "", /) -> None: ...
 
 
-def no_progress(done: int, total: int) -> None:
+def no_progress(done: int, total: int, note: str = "", /) -> None:
     """Ignore progress."""
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Protocol
 
 from skymoor.types import Array, Component, DepthMap, Progress, Render, View
@@ -27,5 +28,7 @@ class SceneModel(Protocol):
 class SceneBuilder(Protocol):
     """Makes a model of a levelled component from its depth maps."""
 
-    def __call__(self, component: Component, depths: Sequence[DepthMap], *, progress: Progress) -> SceneModel:
-        """Build the model."""
+    def __call__(
+        self, component: Component, depths: Sequence[DepthMap], *, progress: Progress, checkpoint: Path | None = None
+    ) -> SceneModel:
+        """Build the model; long work may be kept in the file `checkpoint`, is taken up from it and removes it."""

@@ -50,7 +50,7 @@ def reconstruct(
         folder = Path(temporary)
         database = folder / "database.db"
         n = len(photos)
-        options.matcher(photos, database, folder, seed=seed, progress=lambda done, of: progress(3 * done, 4 * of))
+        options.matcher(photos, database, folder, seed=seed, progress=lambda done, of, _="": progress(3 * done, 4 * of))
         mapped = [0]
 
         def next_image() -> None:

@@ -149,6 +149,10 @@ class Store:
             raise ValueError(f"{path} is outside of {self.root}")
         return path
 
+    def scratch(self, stage: str) -> Path:
+        """A file for the unfinished work of a stage; the stage removes it when it is done."""
+        return self.root / "stages" / f"{stage}.unfinished"
+
     def write_bytes(self, name: str, content: bytes) -> Path:
         """Write a file whole; `name` is relative to the run directory and may hold folders."""
         target = self.path(name)

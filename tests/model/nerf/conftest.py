@@ -15,12 +15,18 @@ def toy() -> Toy:
 
 
 @pytest.fixture(scope="session")
-def trained(toy: Toy) -> NerfModel:
-    """From rough depths."""
-    return toy.builder(component_of(toy.rough), toy.rough)
+def prior_only(toy: Toy) -> NerfModel:
+    """What exact depths alone give."""
+    return toy.untrained(component_of(toy.exact), toy.exact)
 
 
 @pytest.fixture(scope="session")
-def untrained(toy: Toy) -> NerfModel:
-    """The prior of the same depths."""
-    return toy.untrained()(component_of(toy.rough), toy.rough)
+def trained(toy: Toy) -> NerfModel:
+    """From exact depths."""
+    return toy.builder(component_of(toy.exact), toy.exact)
+
+
+@pytest.fixture(scope="session")
+def rough(toy: Toy) -> NerfModel:
+    """From noisy depths with holes."""
+    return toy.builder(component_of(toy.rough), toy.rough)

@@ -48,6 +48,17 @@ def test_depth_is_the_cross_entropy_with_the_measured_distribution() -> None:
     assert depth_loss(weights, edges, depth, torch.tensor([0.5])).item() == pytest.approx(expected, rel=1e-5)
 
 
+def test_depth_expects_its_standard_deviation() -> None:
+    # A weight of exp(-x) makes the loss the mean of x under the target: take the distance and its square.
+    edges = torch.linspace(-13.0, 5.0, 6001, dtype=torch.float64)[None]
+    gap = (edges[:, 1:] + edges[:, :-1]) / 2
+    depth, sigma = torch.zeros(1, dtype=torch.float64), torch.full((1,), 1.5, dtype=torch.float64)
+    mean, square = (depth_loss(torch.exp(-x), edges, depth, sigma, floor=0.0).item() for x in (gap, gap**2))
+    assert math.sqrt(square - mean**2) == pytest.approx(1.5, rel=0.01)
+    # The median is the measured depth, the long tail before it draws the mean nearer.
+    assert -0.5 < mean < -0.2
+
+
 def test_depth_is_least_for_a_straight_logarithm_of_density() -> None:
     t = torch.linspace(0.0, 20.0, 401)[None]
     losses = []

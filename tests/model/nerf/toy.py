@@ -33,6 +33,7 @@ TINY = Sizes(
     samples=8,
     bins=32,
     iterations=150,
+    passes=1000.0,
     table_rate=2e-2,
 )
 BUILDER = NerfBuilder(
@@ -128,6 +129,32 @@ class Toy:
         edge |= (np.abs(np.abs(y) - ROOF[1]) < near) & (np.abs(x) < ROOF[0] + near)
         return np.where(edge, np.nan, (xyz[..., 2] - heights(x, y)) / PIXEL)
 
+    def with_sizes(self, **changes: float) -> NerfBuilder:
+        """The builder with some sizes of its preset changed."""
+        return replace(self.builder, small=replace(self.builder.small, **changes))
+
+    @property
     def untrained(self) -> NerfBuilder:
         """One step at a rate of next to nothing: what is left is the prior."""
-        return replace(self.builder, small=replace(TINY, iterations=1, table_rate=1e-12, mlp_rate=1e-12))
+        return self.with_sizes(iterations=1, table_rate=1e-12, mlp_rate=1e-12)
+
+
+def blinded(maps: list[DepthMap]) -> list[DepthMap]:
+    """No depth anywhere on the half of the roof, and of its walls, with x > 0."""
+    u, v = np.meshgrid(np.arange(LENS.width) + 0.5, np.arange(LENS.height) + 0.5)
+    pixels = np.column_stack([u.ravel(), v.ravel()])
+    result = []
+    for m in maps:
+        rays = LENS.rays(pixels) @ m.camera.cam_from_world.rotation
+        xyz = m.camera.centre + cast(m.camera.centre, rays)[:, None] * rays
+        blind = ((xyz[:, 2] > 0.3 * ROOF[2]) & (xyz[:, 0] > 0)).reshape(m.depth.shape)
+        result.append(replace(m, depth=np.where(blind, np.nan, m.depth).astype(np.float32)))
+    return result
+
+
+def blind_half(view: View) -> Mask:
+    """Pixels (h, w) of that half, away from its borders."""
+    u, v = np.meshgrid(np.arange(view.shape[1]) + 0.5, np.arange(view.shape[0]) + 0.5)
+    x, y = view.x0 + u * view.pixel, -(view.y0 + v * view.pixel)
+    margin = 2 * PIXEL
+    return np.asarray((x > margin) & (x < ROOF[0] - margin) & (np.abs(y) < ROOF[1] - margin))

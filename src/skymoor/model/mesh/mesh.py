@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -40,9 +41,14 @@ class MeshBuilder:
     blend: BlendOptions = field(default_factory=BlendOptions)
 
     def __call__(
-        self, component: Component, depths: Sequence[DepthMap], *, progress: Progress = no_progress
+        self,
+        component: Component,
+        depths: Sequence[DepthMap],
+        *,
+        progress: Progress = no_progress,
+        checkpoint: Path | None = None,
     ) -> MeshModel:
-        """Fuse; see `SceneBuilder`."""
+        """Fuse, which takes seconds and needs no `checkpoint`; see `SceneBuilder`."""
         if not depths:
             raise DegenerateGeometry("no photo has a depth map")
         footprints = [np.median(m.depth[np.isfinite(m.depth)]) / m.camera.intrinsics.fx for m in depths]

@@ -89,6 +89,7 @@ def _build(
         uncertainty=builder.uncertainty,
         deformation=deformation,
         texture=builder.colours,
+        device=builder.device,
         threads=builder.threads,
     )
 

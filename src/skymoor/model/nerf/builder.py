@@ -24,8 +24,8 @@ class NerfBuilder:
     Attributes:
         preset: which sizes are taken, `small` for a few CPU cores or `huge` for a GPU.
         small, huge: those sizes.
-        budget_s: seconds of training on the clock; 0 for no limit. When the steps of the preset end first, the same
-            seed gives the same model.
+        budget_s: seconds of training on the clock; 0 leaves it to the preset's number of steps. What the clock ends
+            cannot be repeated to the bit.
         device: `auto` takes CUDA where there is one.
         threads: of PyTorch on a CPU; 0 leaves its own choice.
         seed: of everything random.
@@ -37,7 +37,7 @@ class NerfBuilder:
     preset: Literal["small", "huge"] = "small"
     small: Sizes = field(default_factory=Sizes)
     huge: Sizes = HUGE
-    budget_s: float = 240.0
+    budget_s: float = 0.0
     device: Literal["auto", "cpu", "cuda"] = "auto"
     threads: int = 0
     seed: int = 0

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from skymoor.model.blend import Blend, BlendOptions
-from skymoor.model.nerf._torch import torch_threads
+from skymoor.model.nerf._torch import choose_device, torch_threads
 from skymoor.model.nerf.box import INNER_PER_LEVEL
 from skymoor.model.nerf.field import Field
 from skymoor.model.nerf.options import UncertaintyOptions
@@ -42,12 +42,13 @@ class NerfModel:
     uncertainty: UncertaintyOptions
     deformation: Deformation | None
     texture: Literal["blend", "field"]
+    device: Literal["auto", "cpu", "cuda"] = "auto"
     threads: int = 0
 
     def render(self, view: View, *, progress: Progress = no_progress) -> Render:
         """Surface, colour and confidence; see `SceneModel`. xyz is NaN where most light passes or no photo looks."""
         with torch_threads(self.threads):
-            layers = render_layers(self.field, self.proposal, view, progress)
+            layers = self._layers(view, progress)
             xyz = self.field.box.level_from_inner(layers.xyz.cpu().numpy().astype(np.float64)).astype(np.float32)
             solid = layers.opacity.cpu().numpy() >= MIN_OPACITY
             xyz[~solid] = np.nan
@@ -68,26 +69,35 @@ class NerfModel:
     def field_colours(self, view: View, *, progress: Progress = no_progress) -> Image:
         """The field's own colours (h, w, 3) of a view."""
         with torch_threads(self.threads):
-            layers = render_layers(self.field, self.proposal, view, progress)
+            layers = self._layers(view, progress)
         return np.clip(layers.rgb.cpu().numpy() * 255 + 0.5, 0, 255).astype(np.uint8)
+
+    def _layers(self, view: View, progress: Progress) -> Layers:
+        """What the field shows; it computes where `device` says, and is kept in main memory between machines."""
+        device = choose_device(self.device)
+        return render_layers(self.field.to(device), self.proposal.to(device), view, progress)
 
     def _confidence(self, layers: Layers, agreement: Array32, view: View) -> Array32:
         pixel = self.pixel * INNER_PER_LEVEL
         bayes = None
         if self.deformation is not None:
             direction = torch.tensor(view.view_from_level[2], dtype=torch.float32, device=layers.xyz.device)
-            along = self.deformation.along(self.field, layers.xyz.view(-1, 3), direction)
+            along = self.deformation.to(layers.xyz.device).along(self.field, layers.xyz.view(-1, 3), direction)
             bayes = (along.view(layers.t.shape) / pixel).cpu().numpy()
         spread = (layers.spread / pixel).cpu().numpy()
         return confidence(agreement, layers.opacity.cpu().numpy(), spread, bayes, self.uncertainty)
 
     @cached_property
     def _z_buffers(self) -> tuple[Array32, ...]:
-        bins = self.field.sizes.bins
-        return tuple(z_buffer(self.proposal, depth_map.camera, REDUCE, bins) for depth_map in self.maps)
+        bins, proposal = self.field.sizes.bins, self.proposal.to(choose_device(self.device))
+        return tuple(z_buffer(proposal, depth_map.camera, REDUCE, bins) for depth_map in self.maps)
 
     def __getstate__(self) -> dict[str, object]:
-        return {key: value for key, value in self.__dict__.items() if key != "_z_buffers"}
+        """What is pickled: a machine without CUDA must be able to read it."""
+        state = {key: value for key, value in self.__dict__.items() if key != "_z_buffers"}
+        main = torch.device("cpu")
+        moved = None if self.deformation is None else self.deformation.to(main)
+        return {**state, "field": self.field.to(main), "proposal": self.proposal.to(main), "deformation": moved}
 
 
 _model: type[SceneModel] = NerfModel

@@ -24,6 +24,7 @@ class Sizes:
         bins: places along a ray at which the proposal is looked up.
         render_samples, refine_samples: per ray of the first pass of a render, and of the following ones.
         iterations: training steps at most.
+        passes: training also ends when each pixel has been looked at so many times on average.
         table_rate, mlp_rate: learning rates of the encoding and of the networks.
     """
 
@@ -45,12 +46,13 @@ class Sizes:
     render_samples: int = 12
     refine_samples: int = 6
     iterations: int = 1000
+    passes: float = 0.5
     table_rate: float = 3e-2
     mlp_rate: float = 4e-3
 
     def __post_init__(self) -> None:
         counts = (self.levels, self.base_cells, self.rays, self.iterations, self.hidden, self.colour_hidden)
-        if min(counts) < 1 or self.features < 3 or self.samples < 2 or self.bins < 4:
+        if min(counts) < 1 or self.passes <= 0 or self.features < 3 or self.samples < 2 or self.bins < 4:
             raise ValueError("sizes of a field are positive, with 3 features, 2 samples and 4 bins at least")
 
 
@@ -72,6 +74,7 @@ HUGE = Sizes(
     render_samples=64,
     refine_samples=16,
     iterations=30000,
+    passes=30.0,
     table_rate=1e-2,
     mlp_rate=2e-3,
 )

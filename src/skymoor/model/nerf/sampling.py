@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -22,14 +22,22 @@ class Proposal:
     box: Box
     density: Tensor
 
+    def to(self, device: torch.device) -> Proposal:
+        """The same in another memory."""
+        return replace(self, density=self.density.to(device))
+
     def look_up(self, unit: Tensor) -> Tensor:
         """Density (n,) of the cells of points (n, 3)."""
         return self.density.view(-1)[self._cells(unit)]
 
     def update(self, unit: Tensor, density: Tensor, rate: float = 0.1) -> None:
-        """Move cells towards densities that were just computed in them; of several in one cell one counts."""
+        """Move cells towards densities that were just computed in them; of several in one cell the largest counts.
+
+        That one and not the last, since threads have no order.
+        """
         cells, flat = self._cells(unit), self.density.view(-1)
-        flat[cells] = torch.lerp(flat[cells], density.to(flat.dtype), rate)
+        moved = torch.lerp(flat[cells], density.to(flat.dtype), rate)
+        flat.scatter_reduce_(0, cells, moved, "amax", include_self=False)
 
     def _cells(self, unit: Tensor) -> Tensor:
         nz, ny, nx = self.density.shape

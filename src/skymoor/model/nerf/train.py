@@ -48,6 +48,14 @@ class Schedule:
     key: str = ""
 
 
+def _line(told: Mapping[str, float]) -> str:
+    """How it goes, for people. Inner units are hundredths of the flying height."""
+    return (
+        f"step {told['step']}, PSNR {told['psnr_db']:.1f} dB, depth error {told['depth_error']:.3f} % of the height, "
+        f"{told['left_s']:.0f} s left"
+    )
+
+
 class Trainer:
     """A field in training. `run` does all of it; `step` one step."""
 
@@ -73,6 +81,7 @@ class Trainer:
         table = [p for name, p in field.named_parameters() if name.startswith("grid")]
         others = [p for name, p in field.named_parameters() if not name.startswith("grid")]
         groups = [{"params": table, "lr": 0.0}, {"params": others, "lr": 0.0}]
+        self.iterations = min(self.sizes.iterations, math.ceil(self.sizes.passes * len(pixels[1]) / self.sizes.rays))
         self._rates = (self.sizes.table_rate, self.sizes.mlp_rate)
         self._optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
@@ -83,17 +92,18 @@ class Trainer:
         """
         self._resume(schedule)
         begun, saved = time.monotonic() - self.seconds, time.monotonic()
-        while self.steps < self.sizes.iterations:
+        while self.steps < self.iterations:
             self.seconds = time.monotonic() - begun
             if schedule.budget_s and self.seconds >= schedule.budget_s:
                 break
-            done = max(self.steps / self.sizes.iterations, self.seconds / (schedule.budget_s or math.inf))
+            done = max(self.steps / self.iterations, self.seconds / (schedule.budget_s or math.inf))
             found = self.step(done)
             if self.steps % REPORT_STEPS == 0:
-                progress(round(1000 * done), 1000)
+                left = self.seconds * (1 / max(done, 1e-3) - 1)
+                told = {"step": self.steps, "left_s": left, **{k: float(v) for k, v in found.items()}}
+                progress(round(1000 * done), 1000, _line(told))
                 if report is not None:
-                    left = self.seconds * (1 / max(done, 1e-3) - 1)
-                    report({"step": self.steps, "left_s": left, **{k: float(v) for k, v in found.items()}})
+                    report(told)
             if schedule.checkpoint is not None and time.monotonic() - saved > schedule.checkpoint_s:
                 self.save(schedule.checkpoint, schedule.key)
                 saved = time.monotonic()
@@ -187,8 +197,12 @@ class Trainer:
             "seconds": self.seconds,
         }
         fresh = path.with_name(path.name + ".part")
-        torch.save(state, fresh)
-        fresh.replace(path)
+        try:
+            torch.save(state, fresh)
+            fresh.replace(path)
+        except (OSError, RuntimeError):
+            # No room on the disk: the training itself needs none.
+            fresh.unlink(missing_ok=True)
 
     def _resume(self, schedule: Schedule) -> None:
         path = schedule.checkpoint

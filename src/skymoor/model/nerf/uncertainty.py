@@ -32,6 +32,10 @@ class Deformation:
 
     sigma: Tensor
 
+    def to(self, device: torch.device) -> Deformation:
+        """The same in another memory."""
+        return Deformation(self.sigma.to(device))
+
     def along(self, field: Field, xyz: Tensor, direction: Tensor) -> Tensor:
         """Standard deviation (n,) of points (n, 3) along a direction (3,), all in the inner frame."""
         box = field.box
