@@ -86,11 +86,20 @@ def case(folder: Path, preset: str, seed: int, width: int) -> list[dict[str, Any
         "peak_mib": max(stage["peak_mib"] for stage in summary["stages"]),
     }
     evaluated = json.loads((result / "evaluation.json").read_text())["rows"]
-    rows = [{**common, **row, **split(site, result, row, truth)} for row in evaluated]
+    rows = [{**common, **row, **split(site, result, row, truth), **evidence(summary, row)} for row in evaluated]
     missing = [item for item in summary["sets"] if not item["components"]]
     return rows + [
         {**common, "set": item["set"], "status": item["status"], "reason": item["reason"]} for item in missing
     ]
+
+
+def evidence(summary: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
+    """How sure a component's place was, by its own account, and why it was refused; and what finding it cost."""
+    (found,) = [item for item in summary["sets"] if item["set"] == row["set"]]
+    (component,) = [item for item in found["components"] if item["component"] == row["component"]]
+    seconds = [s["seconds"] for s in summary["stages"] if s["name"] == f"{row['set']}-{row['component']}.register"]
+    told = {name: component["diagnostics"].get(name) for name in ("score", "second_score", "guesses", "walls_seen")}
+    return {**told, "reason": component["reason"], "register_s": sum(seconds)}
 
 
 def split(site: Path, result: Path, row: dict[str, Any], truth: dict[str, Any]) -> dict[str, float | None]:
@@ -104,7 +113,7 @@ def split(site: Path, result: Path, row: dict[str, Any], truth: dict[str, Any]) 
         [
             frame.enu_from_lla(e.lat, e.lon, e.height).ravel() - true[e.image]
             for e in read_cameras_csv(result / "cameras.csv")
-            if (e.set, e.component) == (row["set"], row["component"])
+            if (e.set, e.component) == (row["set"], row["component"]) and e.lat is not None
         ]
     )
     bias = np.array(truth["bias_m"])
@@ -147,6 +156,7 @@ def print_airborne(rows: list[dict[str, Any]]) -> None:
 
 def print_ground(rows: list[dict[str, Any]]) -> None:
     headings = ("ground", "cameras", "status", "mean absolute", "own", "M-dist", "mean relative", "median relative")
+    headings = (*headings, "score, next", "s", "reason")
     names = ("mean_absolute_m", "own_mean_absolute_m", "mahalanobis_of_mean", "mean_relative_m", "median_relative_m")
     table = []
     for preset, site in PAPER_SITE.items():
@@ -157,6 +167,10 @@ def print_ground(rows: list[dict[str, Any]]) -> None:
             table.append([name, row.get("n_cameras", 0), row["status"]])
             if row.get("mean_absolute_m") is not None:
                 table[-1] += [f"{row[key]:.2f}" for key in names]
+            table[-1] += [""] * (len(names) + 3 - len(table[-1]))
+            if row.get("score") is not None:
+                table[-1] += [f"{row['score']:.0f}, {row['second_score'] or 0:.0f}", f"{row['register_s']:.0f}"]
+                table[-1].append(row["reason"])
     print_table(headings, table)
 
 

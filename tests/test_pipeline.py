@@ -33,8 +33,6 @@ FASTER = (
     "match.max_height_m=100",
     "--set",
     "reconstruct.matcher.max_features=2500",
-    "--set",
-    "model.kind=mesh",
 )
 PLACE = ("lat", "lon", "height", "east", "north", "up", "qw", "ce90", "le90")
 
@@ -150,13 +148,28 @@ def test_a_second_run_is_served_from_the_cache(copied: Path, small_site: Site) -
     assert (copied / "cameras.csv").read_text() == before
 
 
-def test_ground_photos_are_listed_as_not_registered(copied: Path, small_site: Site) -> None:
+def test_a_radiance_field_places_the_photos_as_well(copied: Path, small_site: Site) -> None:
+    options = ("--set", "model.kind=nerf", "--set", "model.nerf.small.iterations=30")
+    mesh = rows_of(copied / "cameras.csv")
+    assert run(small_site.folder / "airborne.toml", copied, *options) == 0
+    assert computed_stages(copied) == {f"airborne-0.{stage}" for stage in ("model", "nadir", "search", "register")}
+    apart = [
+        np.linalg.norm([float(a[key]) - float(b[key]) for key in ("east", "north", "up")])
+        for a, b in zip(mesh, rows_of(copied / "cameras.csv"), strict=True)
+    ]
+    assert 1e-4 < np.mean(apart) < 0.6
+    assert not list((copied / "stages").glob("*.unfinished"))
+
+
+def test_too_few_ground_photos_are_refused_and_listed(copied: Path, small_site: Site) -> None:
     before = rows_of(copied / "cameras.csv")
     assert run(small_site.toml, copied) == 3
-    assert computed_stages(copied) == set()  # the airborne photos are where they were
+    # The airborne photos are where they were.
+    assert all(stage == "walls" or stage.startswith("ground0") for stage in computed_stages(copied))
     airborne, ground = summary_of(copied)["sets"]
     assert airborne["status"] == "REGISTERED"
-    assert ground["status"] == "NOT_REGISTERED" and ground["reason"] and ground["n_images"] == OPTIONS.group_photos
+    assert ground["status"] == "NOT_REGISTERED" and ground["n_images"] == OPTIONS.group_photos
+    assert ground["reason"] or all(component["reason"] for component in ground["components"])
     rows = rows_of(copied / "cameras.csv")
     added = [row for row in rows if row["image"].startswith("ground/")]
     assert [row for row in rows if row not in added] == before

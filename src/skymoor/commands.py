@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +16,15 @@ from skymoor.config import Site, load_site, parse_option, site_from_arguments, w
 from skymoor.errors import InputError
 from skymoor.geo.frame import EnuFrame
 from skymoor.pipeline import Job, register_airborne
-from skymoor.products import NOT_REGISTERED, write_products
+from skymoor.pipeline_ground import register_ground_sets
+from skymoor.products import NOT_REGISTERED, PlacedSet, write_products
 from skymoor.reference import read_reference
 from skymoor.screen import Screen, evaluation_table, summary_table
 from skymoor.settings import Options
 from skymoor.simulate import SiteOptions
 from skymoor.simulate.site import write_site
 from skymoor.simulate.world import World
-from skymoor.store import Store, has_metadata, open_photos, photos_fingerprint, read_cameras_csv, read_truth_csv
+from skymoor.store import Store, has_metadata, read_cameras_csv, read_truth_csv
 
 # Small enough for a few minutes on two cores, large enough for every step to have its work.
 DEMO = SiteOptions(seed=1, radius_m=55.0, airborne=26, groups=0, security=0, photo_width=640, reference_width_m=220.0)
@@ -34,7 +35,9 @@ def run(command: Run) -> bool:
     site = _site(command)
     options = with_options(Options(), {**site.options, **dict(map(parse_option, command.set))})
     if site.airborne is None:
-        raise InputError(f"{command.site}: it names no [airborne] images, and this version places airborne photos only")
+        raise InputError(
+            f"{command.site}: it names no [airborne] images; ground photos are placed on the airborne model"
+        )
     with Screen(plain=command.quiet) as screen, Store.open(command.out, note=screen.note) as store:
         photos = store.photos("photos", site.airborne, site.root, screen.track("photos"))
         _tell_metadata(site.airborne, screen)
@@ -49,11 +52,12 @@ def run(command: Run) -> bool:
             ],
             code=["skymoor.reference", "skymoor.geo"],
         )
-        placed = register_airborne(Job(photos, reference, options, store, command.seed, screen.track))
-        others = {f"ground{k}": _names(folder, site.root) for k, folder in enumerate(site.ground)}
-        summary = write_products(
-            "airborne", placed, photos.names, others, site, reference, options, command.seed, store
-        )
+        job = Job(photos, reference, options, store, command.seed, screen.track)
+        jobs = [job, *(_ground_job(f"ground{k}", folder, site, job) for k, folder in enumerate(site.ground))]
+        airborne = register_airborne(job)
+        placed = [airborne, *register_ground_sets(jobs[1:], airborne)]
+        sets = [PlacedSet(job.name, job.photos.names, found) for job, found in zip(jobs, placed, strict=True)]
+        summary = write_products(sets, site, reference, options, command.seed, store)
         screen.show(summary_table(summary))
         screen.note(f"results in {command.out}")
     return all(item["status"] != NOT_REGISTERED for item in summary["sets"])
@@ -124,9 +128,11 @@ def _tell_metadata(folder: Path, screen: Screen) -> None:
         screen.note(f"{count} photos carry EXIF or XMP metadata: it is ignored, nothing but pixels is used")
 
 
-def _names(folder: Path, root: Path) -> tuple[str, ...]:
-    photos_fingerprint(folder)  # refuses a folder that holds no photos
-    return open_photos(folder, root).names
+def _ground_job(name: str, folder: Path, site: Site, job: Job) -> Job:
+    """The job of a folder of ground photos, which are checked; they are placed once the airborne ones are."""
+    stage = f"{name}.photos"
+    photos = job.store.photos(stage, folder, site.root, job.track(stage))
+    return replace(job, photos=photos, name=name, photos_stage=stage)
 
 
 def _read_summary(path: Path) -> dict[str, Any]:

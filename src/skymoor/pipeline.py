@@ -20,14 +20,16 @@ import skymoor.orient
 import skymoor.reconstruct
 import skymoor.register
 import skymoor.render
+from skymoor.densify import DepthEstimator
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
+from skymoor.ground import CameraWitness
 from skymoor.lift import lift
 from skymoor.match import Placement, match_placed, search_placements
 from skymoor.model import SceneModel
 from skymoor.orient import estimate_gravity, level_from_gravity
 from skymoor.overlay import lay_on_reference, nadir_raster, reference_raster
-from skymoor.reconstruct import reconstruct, with_focal
+from skymoor.reconstruct import ReconstructOptions, reconstruct, with_focal
 from skymoor.register import Relief, compare_relief, focal_correction, judge, register
 from skymoor.render import nadir_view
 from skymoor.settings import Options
@@ -37,6 +39,7 @@ from skymoor.types import (
     Component,
     DepthMap,
     Gravity,
+    Image,
     Matches3D,
     Photos,
     Progress,
@@ -48,7 +51,7 @@ from skymoor.types import (
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What one set of photos is placed with. The stages "photos" and "reference" must have run in `store`.
+    """What one set of photos is placed with. The stages `photos_stage` and "reference" must have run in `store`.
 
     `track` gives the progress callback of a stage, by its name.
     """
@@ -59,40 +62,63 @@ class Job:
     store: Store
     seed: int
     track: Callable[[str], Progress]
+    name: str = "airborne"
+    photos_stage: str = "photos"
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A component and all that was found out about its place. `component` is in the `level` frame."""
+    """A component and all that was found out about its place. `component` is in the `level` frame.
 
+    `name` is that of its stages. A ground component stands on `base`, an airborne one; `walls` shows both, and each of
+    its photos may have said whether it agrees (`witnesses`).
+    """
+
+    name: str
     component: Component
     level_from_sfm: Similarity
     registration: Registration
     gravity: Gravity | None = None
+    depths: Sequence[DepthMap] = ()
     render: Render | None = None
     matches: Matches3D | None = None
     relief: Relief | None = None
+    base: Placed | None = None
+    walls: Image | None = None
+    witnesses: Sequence[CameraWitness] = ()
 
     @property
     def cameras_enu(self) -> list[Camera]:
-        """Cameras on Earth; empty where the component is not registered."""
+        """Cameras on Earth; empty where the component is not registered, and without those that contradict it."""
         found = self.registration
         if not found.registered or found.enu_from_level is None:
             return []
-        return [camera.moved(found.enu_from_level) for camera in self.component.cameras]
+        doubted = {witness.image for witness in self.witnesses if witness.contradicts}
+        cameras = (camera for camera in self.component.cameras if camera.image not in doubted)
+        return [camera.moved(found.enu_from_level) for camera in cameras]
 
 
 def register_airborne(job: Job) -> list[Placed]:
     """Every component of a set of airborne photos, placed on Earth or refused."""
-    options = job.options.reconstruct
-    components = job.store.stage(
-        "reconstruct",
-        lambda: reconstruct(job.photos, options, seed=job.seed, progress=job.track("structure from motion")),
+    components = reconstruct_set("reconstruct", job, job.options.reconstruct)
+    return [register_component(f"{job.name}-{k}", component, job) for k, component in enumerate(components)]
+
+
+def reconstruct_set(stage: str, job: Job, options: ReconstructOptions) -> list[Component]:
+    """The components of a set of photos."""
+    return job.store.stage(
+        stage,
+        lambda: reconstruct(job.photos, options, seed=job.seed, progress=job.track(f"{job.name}: reconstruction")),
         options=(options, job.seed),
-        after=["photos"],
+        after=[job.photos_stage],
         code=[skymoor.reconstruct, "skymoor.colmap"],
     )
-    return [register_component(f"airborne-{k}", component, job) for k, component in enumerate(components)]
+
+
+def refused(name: str, component: Component, reason: str) -> Placed:
+    """A component that has no place, with the reason."""
+    nothing = Registration(registered=False, reason=reason, enu_from_level=None)
+    return Placed(name, component, Similarity.identity(), nothing)
 
 
 def register_component(name: str, component: Component, job: Job) -> Placed:
@@ -119,15 +145,15 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
         gravity = estimate_gravity(component, options.orient, rng=np.random.default_rng(job.seed))
         level_from_sfm = level_from_gravity(component, gravity)
         level = component.moved(level_from_sfm)
-        render = _render_nadir(name, _model(name, level, _densify(name, level, job, source), job), job)
+        depths = densify_component(name, level, level_from_sfm, job, source, options.densify)
+        render = _render_nadir(name, _model(name, level, depths, job), job)
     except DegenerateGeometry as error:
-        refused = Registration(registered=False, reason=str(error), enu_from_level=None)
-        return Placed(component, Similarity.identity(), refused)
+        return refused(name, component, str(error))
     placements = _search(name, render, job)
     if not placements:
         reason = "the reference is too small for the model at any height that was searched"
-        refused = Registration(registered=False, reason=reason, enu_from_level=None)
-        return Placed(level, level_from_sfm, refused, gravity, render)
+        nothing = Registration(registered=False, reason=reason, enu_from_level=None)
+        return Placed(name, level, level_from_sfm, nothing, gravity, depths, render)
     registration, matches = job.store.stage(
         f"{name}.register",
         lambda: _register_best(placements, render, job),
@@ -139,17 +165,22 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
     if registration.registered:
         _, up = lay_on_reference(render, registration, reference, options.match.min_height_confidence)
         relief = compare_relief(up, reference.height, reference.grid.pixel_m, options.relief)
-    return Placed(level, level_from_sfm, registration, gravity, render, matches, relief)
+    return Placed(name, level, level_from_sfm, registration, gravity, depths, render, matches, relief)
 
 
-def _densify(name: str, level: Component, job: Job, source: str) -> list[DepthMap]:
-    options = job.options
+def densify_component(
+    name: str, level: Component, level_from_sfm: Similarity, job: Job, source: str, estimator: DepthEstimator
+) -> list[DepthMap]:
+    """Depth maps of a component, which the stage `source` made and which was levelled since.
+
+    Raises `DegenerateGeometry` without any.
+    """
     depths = job.store.stage(
         f"{name}.depths",
-        lambda: options.densify(level, job.photos, progress=job.track("dense depth")),
-        options=(options.densify, options.orient, job.seed),
-        after=["photos", source],
-        code=[skymoor.densify, skymoor.orient, skymoor.geometry],
+        lambda: estimator(level, job.photos, progress=job.track(f"{name}: dense depth")),
+        options=(estimator, level_from_sfm.scale, level_from_sfm.rotation, level_from_sfm.translation),
+        after=[job.photos_stage, source],
+        code=[skymoor.densify, skymoor.geometry],
     )
     if not depths:
         raise DegenerateGeometry("no photo has a partner to measure depth with")

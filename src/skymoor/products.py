@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -35,42 +35,43 @@ from skymoor.store import Store
 from skymoor.types import Array, Reference
 
 REGISTERED, NOT_REGISTERED = "REGISTERED", "NOT_REGISTERED"
+GROUND_STEP_PX = 3  # ground photos see the same wall often: a ninth of their pixels is enough for the cloud
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedSet:
+    """A set of photos by its name, the names of its images, and what became of its components."""
+
+    name: str
+    images: Sequence[str]
+    placed: Sequence[Placed]
 
 
 def accuracies(placed: Placed, reference: Reference) -> tuple[Array, Array]:
-    """Predicted CE90 and LE90 in metres, each (n,), of a registered component's cameras."""
-    covariances = camera_covariances(placed.registration, placed.cameras_enu, reference, placed.component.calibration)
+    """Predicted CE90 and LE90 in metres, each (n,), of a registered component's cameras.
+
+    A ground component stands on an airborne one, and inherits how unsure that is at the place of its cameras.
+    """
+    cameras, base = placed.cameras_enu, placed.base
+    covariances = camera_covariances(placed.registration, cameras, reference, placed.component.calibration)
+    if base is not None:
+        carried = camera_covariances(base.registration, cameras, reference, base.component.calibration)
+        covariances = covariances + carried - reference.covariance  # which stands in both
     return np.array([ce90_m(c) for c in covariances]), np.array([le90_m(c) for c in covariances])
 
 
 def write_products(
-    set_name: str,
-    placed: Sequence[Placed],
-    images: Sequence[str],
-    other_images: Mapping[str, Sequence[str]],
-    site: Site,
-    reference: Reference,
-    options: Options,
-    seed: int,
-    store: Store,
+    sets: Sequence[PlacedSet], site: Site, reference: Reference, options: Options, seed: int, store: Store
 ) -> dict[str, Any]:
-    """Write all products of a run; returns the summary.
-
-    Args:
-        set_name: of the set that was worked on, with its `images`.
-        other_images: image names of sets that this version does not place, by set.
-    """
-    rows = camera_rows(set_name, placed, images, reference)
-    for name, names in other_images.items():
-        rows += unplaced_cameras(name, None, names)
+    """Write all products of a run; returns the summary."""
+    rows = [row for found in sets for row in camera_rows(found, reference)]
     store.remove("evaluation.json")  # of the cameras of a former run
     store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
     store.write_json("cameras.geojson", cameras_geojson(rows))
-    for k, item in enumerate(placed):
-        _write_component(f"{set_name}_{k}", item, reference, options.match, store)
-    _write_rasters(placed, reference, options.match, store)
-    sets = [_set_summary(set_name, placed, images, reference)]
-    sets += [_unplaced_summary(name, names) for name, names in other_images.items()]
+    for found in sets:
+        for k, item in enumerate(found.placed):
+            _write_component(f"{found.name}_{k}", item, reference, options.match, store)
+    _write_rasters([item for found in sets for item in found.placed], reference, options.match, store)
     summary = {
         "skymoor": __version__,
         "site": site.name,
@@ -84,52 +85,39 @@ def write_products(
             "pixel_m": reference.grid.pixel_m,
         },
         "enu_origin": georeference(reference.frame, Similarity.identity())["enu_origin"],
-        "sets": sets,
+        "sets": [_set_summary(found, reference) for found in sets],
         "stages": [asdict(record) for record in store.records],
     }
     store.write_json("summary.json", summary)
     return summary
 
 
-def camera_rows(
-    set_name: str, placed: Sequence[Placed], images: Sequence[str], reference: Reference
-) -> list[CameraRow]:
+def camera_rows(found: PlacedSet, reference: Reference) -> list[CameraRow]:
     """Rows of cameras.csv. Components overlap: a photo counts in the first, largest one that holds it."""
     rows: list[CameraRow] = []
     seen: set[str] = set()
-    for k, item in enumerate(placed):
+    for k, item in enumerate(found.placed):
+        mine: list[CameraRow] = []
         if item.registration.registered:
-            mine = placed_cameras(set_name, k, item.cameras_enu, reference.frame, *accuracies(item, reference))
-        else:
-            mine = unplaced_cameras(set_name, k, [camera.image for camera in item.component.cameras])
+            mine = placed_cameras(found.name, k, item.cameras_enu, reference.frame, *accuracies(item, reference))
+        placed = {row.image for row in mine}
+        others = [camera.image for camera in item.component.cameras if camera.image not in placed]
+        mine += unplaced_cameras(found.name, k, others)
         rows += [row for row in mine if row.image not in seen]
         seen.update(row.image for row in mine)
-    return rows + unplaced_cameras(set_name, None, [image for image in images if image not in seen])
+    return rows + unplaced_cameras(found.name, None, [image for image in found.images if image not in seen])
 
 
-def _set_summary(
-    set_name: str, placed: Sequence[Placed], images: Sequence[str], reference: Reference
-) -> dict[str, Any]:
-    taken = {camera.image for item in placed for camera in item.component.cameras}
-    good = bool(placed) and all(item.registration.registered for item in placed)
+def _set_summary(found: PlacedSet, reference: Reference) -> dict[str, Any]:
+    taken = {camera.image for item in found.placed for camera in item.component.cameras}
+    good = bool(found.placed) and all(item.registration.registered for item in found.placed)
     return {
-        "set": set_name,
+        "set": found.name,
         "status": REGISTERED if good else NOT_REGISTERED,
-        "reason": "" if placed else "no two photos have enough in common",
-        "n_images": len(images),
-        "n_images_reconstructed": len(taken.intersection(images)),
-        "components": [_component_summary(k, item, reference) for k, item in enumerate(placed)],
-    }
-
-
-def _unplaced_summary(set_name: str, images: Sequence[str]) -> dict[str, Any]:
-    return {
-        "set": set_name,
-        "status": NOT_REGISTERED,
-        "reason": "this version places airborne photos only",
-        "n_images": len(images),
-        "n_images_reconstructed": 0,
-        "components": [],
+        "reason": "" if found.placed else "no two photos have enough in common",
+        "n_images": len(found.images),
+        "n_images_reconstructed": len(taken.intersection(found.images)),
+        "components": [_component_summary(k, item, reference) for k, item in enumerate(found.placed)],
     }
 
 
@@ -152,6 +140,7 @@ def _component_summary(index: int, item: Placed, reference: Reference) -> dict[s
         "calibration_note": calibration_note(item),
         "gravity": item.gravity,
         "relief": item.relief,
+        "contradicting_cameras": [witness.image for witness in item.witnesses if witness.contradicts],
     }
     if found.registered and found.enu_from_level is not None:
         ce90, le90 = accuracies(item, reference)
@@ -165,8 +154,8 @@ def _component_summary(index: int, item: Placed, reference: Reference) -> dict[s
 def calibration_note(item: Placed) -> str:
     """What a person must know about the focal length, empty where it is well known."""
     calibration = item.component.calibration
-    if calibration is None or not calibration.uncertain:
-        return ""
+    if calibration is None or not calibration.uncertain or item.base is not None:
+        return ""  # what stands on another model takes its scale from that
     half = 100 * calibration.focal_sigma
     note = f"The photos do not tell focal length from flying height (+-{half:.0f} %): heights of cameras are as unsure."
     if calibration.relief_ratio is not None:
@@ -193,6 +182,8 @@ def _write_component(name: str, item: Placed, reference: Reference, options: Mat
 
 def _write_pictures(name: str, item: Placed, reference: Reference, options: MatchOptions, store: Store) -> None:
     render, found = item.render, item.registration
+    if item.walls is not None:
+        store.write_png(f"matches/{name}_walls.png", item.walls)
     if render is None:
         return
     store.write_png(f"renders/{name}_nadir_rgb.png", render.rgb)
@@ -228,8 +219,14 @@ def _write_rasters(placed: Sequence[Placed], reference: Reference, options: Matc
     rgb = np.zeros((*reference.grid.shape, 3), np.uint8)
     height = np.full(reference.grid.shape, np.nan, np.float32)
     clouds, colours = [], []
-    for item in _registered(placed):
-        assert item.render is not None and item.registration.enu_from_level is not None
+    for item in placed:
+        if item.registration.enu_from_level is None:
+            continue
+        if item.render is None:
+            for xyz_level, rgb_of in (depth_map.points(step=GROUND_STEP_PX) for depth_map in item.depths):
+                clouds.append(item.registration.enu_from_level.apply(xyz_level.astype(np.float64)))
+                colours.append(rgb_of)
+            continue
         believed = item.render.confidence >= options.min_height_confidence
         clouds.append(item.registration.enu_from_level.apply(item.render.xyz[believed].astype(np.float64)))
         colours.append(item.render.rgb[believed])
@@ -248,7 +245,3 @@ def _write_rasters(placed: Sequence[Placed], reference: Reference, options: Matc
         return
     for name, content in zip(names, contents, strict=True):
         store.write_bytes(name, content)
-
-
-def _registered(placed: Sequence[Placed]) -> Iterable[Placed]:
-    return (item for item in placed if item.registration.registered and item.render is not None)

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from skymoor.densify import SgmDepth
+from skymoor.ground import GroundOptions
 from skymoor.lift import LiftOptions
 from skymoor.match import CyclicOptions, SearchOptions, StructuralMatcher
 from skymoor.model import MeshBuilder, NerfBuilder, SceneBuilder
-from skymoor.orient import OrientOptions
-from skymoor.reconstruct import ReconstructOptions
+from skymoor.orient import OrientOptions, UprightOptions
+from skymoor.reconstruct import ReconstructOptions, ground_options
 from skymoor.register import RegisterOptions, ReliefOptions
 from skymoor.render import RenderOptions
 
@@ -40,11 +41,12 @@ class ModelOptions:
     """Which model of the airborne set is rendered.
 
     Attributes:
-        kind: "nerf" for the radiance field, "mesh" for fused depth maps, which takes seconds.
+        kind: "mesh" for fused depth maps, which takes seconds; "nerf" for the radiance field, which takes minutes, is
+            closer to the surface and knows better where it is not.
         nerf, mesh: how each is built.
     """
 
-    kind: Literal["nerf", "mesh"] = "nerf"
+    kind: Literal["mesh", "nerf"] = "mesh"
     nerf: NerfBuilder = field(default_factory=NerfBuilder)
     mesh: MeshBuilder = field(default_factory=MeshBuilder)
 
@@ -52,6 +54,22 @@ class ModelOptions:
     def builder(self) -> SceneBuilder:
         """The chosen one."""
         return self.nerf if self.kind == "nerf" else self.mesh
+
+
+@dataclass(frozen=True)
+class GroundSetOptions:
+    """From ground photos to the airborne model.
+
+    Attributes:
+        reconstruct, densify: as for the airborne set, for photos of several lenses from nearby.
+        upright: how up is found.
+        place: how a component is laid on the airborne model.
+    """
+
+    reconstruct: ReconstructOptions = field(default_factory=ground_options)
+    densify: SgmDepth = field(default_factory=SgmDepth)
+    upright: UprightOptions = field(default_factory=UprightOptions)
+    place: GroundOptions = field(default_factory=GroundOptions)
 
 
 @dataclass(frozen=True)
@@ -67,3 +85,4 @@ class Options:
     lift: LiftOptions = field(default_factory=LiftOptions)
     register: RegisterOptions = field(default_factory=RegisterOptions)
     relief: ReliefOptions = field(default_factory=ReliefOptions)
+    ground: GroundSetOptions = field(default_factory=GroundSetOptions)

@@ -139,6 +139,20 @@ class DepthMap:
     n_views: NDArray[np.uint8]  # how many stereo partners agree
     rgb: Image
 
+    def points(self, *, max_sigma_ratio: float = 0.02, step: int = 1) -> tuple[Array32, Image]:
+        """Points (n, 3) in the camera's world frame, and colours (n, 3), of every `step`-th pixel.
+
+        Pixels count whose depth is more certain than `max_sigma_ratio` of it.
+        """
+        i = self.camera.intrinsics
+        rows, columns = np.arange(step // 2, i.height, step), np.arange(step // 2, i.width, step)
+        depth, sigma = self.depth[np.ix_(rows, columns)], self.sigma[np.ix_(rows, columns)]
+        with np.errstate(invalid="ignore"):
+            row, column = np.nonzero(sigma < max_sigma_ratio * depth)
+        rays = i.rays(np.column_stack([columns[column], rows[row]]) + 0.5)
+        points = self.camera.cam_from_world.inverse().apply(rays * depth[row, column][:, None])
+        return points.astype(np.float32), self.rgb[rows[row], columns[column]]
+
 
 @dataclass(frozen=True, eq=False)
 class View:

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from flight import STANDOFF_M, Flight
+from skymoor.geometry.camera import Intrinsics
 from skymoor.geometry.similarity import Similarity, umeyama
-from skymoor.reconstruct import ReconstructOptions, SiftMatcher, reconstruct
+from skymoor.reconstruct import ReconstructOptions, SiftMatcher, ViewGraph, ground_options, reconstruct
 from skymoor.reconstruct.mapping import _worth_keeping
 from skymoor.simulate.light.photo import Sensor, take_photo
 from skymoor.types import Camera, Component, Image, Photos
@@ -161,3 +163,41 @@ def test_photos_of_two_sizes_are_two_cameras(flight: Flight) -> None:
     widths = {c.image: c.intrinsics.width for c in component.cameras}
     assert widths[names[0]] == 390 and widths[names[1]] == 400
     assert component.calibration is not None and not component.calibration.shared_intrinsics
+
+
+def through(image: Image, lens: Intrinsics, other: Intrinsics) -> Image:
+    """A photo as another lens would have taken it."""
+    pixels = np.stack(np.meshgrid(np.arange(other.width), np.arange(other.height)), axis=-1) + 0.5
+    source = lens.px_from_cam(other.rays(pixels.reshape(-1, 2))).reshape(*pixels.shape).astype(np.float32) - 0.5
+    return np.asarray(cv2.remap(image, source[..., 0], source[..., 1], cv2.INTER_CUBIC), np.uint8)
+
+
+@dataclass(frozen=True)
+class Without:
+    """Believes no pair with this photo."""
+
+    name: str
+
+    def __call__(self, graph: ViewGraph) -> list[int]:
+        assert graph.components
+        photo = graph.photos.names.index(self.name)
+        return [k for k, pair in enumerate(graph.pairs) if photo not in pair]
+
+
+def test_mixed_lenses_are_told_apart_and_pairs_are_filtered(flight: Flight) -> None:
+    names = [flight.cameras[k].image for k in (*flight.around[:6], *flight.from_above[:4])]
+    lens, tele = flight.cameras[0].intrinsics, replace(flight.cameras[0].intrinsics, fx=640.0, fy=640.0)
+    tele = replace(tele, distortion=(-0.25, 0.0, 0.0, 0.0))
+    images = {name: flight.images[name] for name in names}
+    images[names[2]] = through(images[names[2]], lens, tele)
+    matcher = replace(SiftMatcher(), max_features=1500, shared_camera=False)
+    options = replace(ground_options(), matcher=matcher, pair_filter=Without(names[-1]))
+    (component,) = reconstruct(photos_of(images), options, seed=3)
+    found = {camera.image: camera.intrinsics for camera in component.cameras}
+    assert sorted(found) == sorted(names[:-1])
+    others = {lens for name, lens in found.items() if name != names[2]}
+    assert len(others) == 1
+    assert others.pop().fx == pytest.approx(lens.fx, rel=0.02)
+    assert found[names[2]].fx == pytest.approx(tele.fx, rel=0.03)
+    assert found[names[2]].distortion[0] == pytest.approx(-0.25, abs=0.15)  # a narrow view says little about it
+    assert camera_errors_m(component, flight).mean() < 0.004 * STANDOFF_M

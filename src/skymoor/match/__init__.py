@@ -3,6 +3,7 @@
 
 from skymoor.match.align import lay, match_placed
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
+from skymoor.match.facade import FacadeSearchOptions, Shift, agreement, search_shifts
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.search import Placement, SearchOptions, search_placements
 from skymoor.match.structural import StructuralMatcher
@@ -10,11 +11,15 @@ from skymoor.match.structural import StructuralMatcher
 __all__ = [
     "CyclicOptions",
     "DenseMatcher",
+    "FacadeSearchOptions",
     "Placement",
     "SearchOptions",
+    "Shift",
     "StructuralMatcher",
+    "agreement",
     "cyclic_matches",
     "lay",
     "match_placed",
     "search_placements",
+    "search_shifts",
 ]

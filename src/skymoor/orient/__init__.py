@@ -4,5 +4,14 @@
 from skymoor.orient.gravity import OrientOptions, estimate_gravity, level_from_gravity
 from skymoor.orient.labels import ground_points
 from skymoor.orient.protocol import GroundLabeler
+from skymoor.orient.upright import UprightOptions, estimate_ground_gravity
 
-__all__ = ["GroundLabeler", "OrientOptions", "estimate_gravity", "ground_points", "level_from_gravity"]
+__all__ = [
+    "GroundLabeler",
+    "OrientOptions",
+    "UprightOptions",
+    "estimate_gravity",
+    "estimate_ground_gravity",
+    "ground_points",
+    "level_from_gravity",
+]

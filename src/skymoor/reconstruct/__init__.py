@@ -3,7 +3,20 @@
 
 from skymoor.reconstruct._sift import SiftMatcher
 from skymoor.reconstruct.calibration import with_focal
-from skymoor.reconstruct.mapping import ReconstructOptions, reconstruct
-from skymoor.reconstruct.protocol import PairMatcher
+from skymoor.reconstruct.doppelgangers import ConflictFilter
+from skymoor.reconstruct.lenses import LensOptions
+from skymoor.reconstruct.mapping import ReconstructOptions, ground_options, reconstruct
+from skymoor.reconstruct.protocol import PairFilter, PairMatcher, ViewGraph
 
-__all__ = ["PairMatcher", "ReconstructOptions", "SiftMatcher", "reconstruct", "with_focal"]
+__all__ = [
+    "ConflictFilter",
+    "LensOptions",
+    "PairFilter",
+    "PairMatcher",
+    "ReconstructOptions",
+    "SiftMatcher",
+    "ViewGraph",
+    "ground_options",
+    "reconstruct",
+    "with_focal",
+]

@@ -33,9 +33,13 @@ def adjust(
     focal: bool = True,
     principal_point: bool = False,
     extra: bool = True,
+    robust: bool = False,
     max_iterations: int = 50,
 ) -> float:
-    """Bundle adjustment in place; returns the root mean square reprojection error in pixels."""
+    """Bundle adjustment in place; returns the root mean square reprojection error in pixels.
+
+    `robust` lets observations that do not fit have little weight (Cauchy's loss at one pixel).
+    """
     options = pycolmap.BundleAdjustmentOptions(
         refine_focal_length=focal,
         refine_principal_point=principal_point,
@@ -44,6 +48,8 @@ def adjust(
     )
     options.ceres.solver_options.max_num_iterations = max_iterations
     options.ceres.solver_options.function_tolerance = 1e-6
+    if robust:
+        options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     # The adjuster itself, not pycolmap.bundle_adjustment: that one writes on stderr whatever the log level is.
     pycolmap.create_default_bundle_adjuster(options, _all_images(reconstruction), reconstruction).solve()
     reconstruction.update_point_3d_errors()
@@ -110,18 +116,24 @@ def thin(reconstruction: pycolmap.Reconstruction, max_points: int = 2500) -> pyc
 
 def focal_sigma(reconstruction: pycolmap.Reconstruction) -> float:
     """Relative standard deviation of the focal length by the adjustment's own covariance (optimistic), NaN unknown."""
+    sigmas = list(focal_sigmas(reconstruction).values())
+    return float(np.median(sigmas)) if sigmas else float("nan")
+
+
+def focal_sigmas(reconstruction: pycolmap.Reconstruction) -> dict[int, float]:
+    """The same for each camera, by its id; without those of which the adjustment cannot say it."""
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
     adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, _all_images(reconstruction), reconstruction)
     wanted = pycolmap.BACovarianceOptions(params=pycolmap.BACovarianceOptionsParams.ALL)
     covariance = pycolmap.estimate_ba_covariance(wanted, reconstruction, adjuster)
     if covariance is None:
-        return float("nan")
-    sigmas = []
-    for camera in reconstruction.cameras.values():
+        return {}
+    noise_px, sigmas = rms_px(reconstruction), {}
+    for camera_id, camera in reconstruction.cameras.items():
         block = covariance.get_other_params_cov(camera.params)
         if block is not None:
-            sigmas.append(float(np.sqrt(block[0, 0])) / camera.mean_focal_length())
-    return float(np.median(sigmas)) * rms_px(reconstruction) if sigmas else float("nan")
+            sigmas[camera_id] = float(np.sqrt(block[0, 0])) / camera.mean_focal_length() * noise_px
+    return sigmas
 
 
 def _all_images(reconstruction: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:

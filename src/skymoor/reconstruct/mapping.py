@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +14,10 @@ import pycolmap
 from skymoor.colmap import component_from_colmap, mean_colours
 from skymoor.reconstruct._sift import SiftMatcher
 from skymoor.reconstruct.calibration import adjust, calibrate
-from skymoor.reconstruct.protocol import PairMatcher, colmap_name
+from skymoor.reconstruct.doppelgangers import ConflictFilter
+from skymoor.reconstruct.graph import drop_pairs
+from skymoor.reconstruct.lenses import LensOptions, share_lenses, shared_lenses, without_doubtful, write_lenses
+from skymoor.reconstruct.protocol import PairFilter, PairMatcher, colmap_name
 from skymoor.types import Component, Photos, Progress, no_progress
 
 
@@ -23,13 +27,30 @@ class ReconstructOptions:
 
     Attributes:
         matcher: the engine that fills the database with verified matches.
-        min_cameras: smaller components are dropped.
+        min_cameras: smaller components are dropped; the paper keeps those of nine.
         refine_principal_point: at the end, where the photos share one camera and fix its focal length.
+        mixed_lenses: photos of one size may come from several cameras, and which photos share one is found out. The
+            matcher should give each photo a camera of its own then.
+        lens: when photos share a lens.
+        min_inliers: correspondences with the model that a photo of known lens needs to join it, where lenses are mixed.
+        pair_filter: the engine that finds pairs of photos of different places that look alike.
+        filter_rounds: how often it may look at the result and have it mapped again; 0 keeps all pairs.
     """
 
     matcher: PairMatcher = field(default_factory=SiftMatcher)
     min_cameras: int = 3
     refine_principal_point: bool = True
+    mixed_lenses: bool = False
+    lens: LensOptions = field(default_factory=LensOptions)
+    min_inliers: int = 15
+    pair_filter: PairFilter = field(default_factory=ConflictFilter)
+    filter_rounds: int = 0
+
+
+def ground_options() -> ReconstructOptions:
+    """For photos from the ground, by several people and by security cameras."""
+    matcher = SiftMatcher(shared_camera=False, exhaustive_below=60)
+    return ReconstructOptions(matcher, mixed_lenses=True, filter_rounds=3)
 
 
 def reconstruct(
@@ -57,12 +78,54 @@ def reconstruct(
             mapped[0] += 1
             progress(3 * n + min(n, mapped[0]), 4 * n)
 
-        models = pycolmap.incremental_mapping(
-            database, folder, folder, _mapping_options(options, seed), next_image_callback=next_image
-        )
-    components = [_finish(model, names, photos, options) for model in _worth_keeping(list(models.values()))]
+        models = _map(database, folder, _mapping_options(options, seed), next_image)
+        models = _improved(models, database, folder, photos, options, seed)
+    components = [_finish(model, names, photos, options) for model in models]
     progress(4 * n, 4 * n)
     return components
+
+
+def _improved(
+    models: list[pycolmap.Reconstruction],
+    database: Path,
+    folder: Path,
+    photos: Photos,
+    options: ReconstructOptions,
+    seed: int,
+) -> list[pycolmap.Reconstruction]:
+    """Mapped again, once with the lenses that were found, and as long as pairs of look-alikes come to light."""
+    names = {colmap_name(i, size): name for i, (name, size) in enumerate(zip(photos.names, photos.sizes, strict=True))}
+    for round_ in range(options.filter_rounds + 2):
+        if options.mixed_lenses:
+            models = [share_lenses(model, options.lens) for model in models]
+        certain = _certain(models, options)
+        mapping, changed = _mapping_options(options, seed), False
+        with pycolmap.Database.open(database) as db:
+            if round_ < options.filter_rounds:
+                components = tuple(component_from_colmap(model, names) for model in certain)
+                changed = drop_pairs(db, photos, components, options.pair_filter) > 0
+            if options.mixed_lenses:
+                mapping.constant_cameras = write_lenses(db, shared_lenses(models, options.lens))
+                mapping.mapper.abs_pose_min_num_inliers = options.min_inliers
+                changed = changed or round_ == 0
+        if not changed:
+            break
+        models = _map(database, folder, mapping, lambda: None)
+    return certain
+
+
+def _certain(models: list[pycolmap.Reconstruction], options: ReconstructOptions) -> list[pycolmap.Reconstruction]:
+    if not options.mixed_lenses:
+        return models
+    certain = [without_doubtful(model, options.lens) for model in models]
+    return _worth_keeping([model for model in certain if model.num_reg_images() >= options.min_cameras])
+
+
+def _map(
+    database: Path, folder: Path, options: pycolmap.IncrementalPipelineOptions, report: Callable[[], None]
+) -> list[pycolmap.Reconstruction]:
+    models = pycolmap.incremental_mapping(database, folder, folder, options, next_image_callback=report)
+    return _worth_keeping(list(models.values()))
 
 
 def _worth_keeping(models: list[pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the reconstruction asks of a feature engine."""
+"""What the reconstruction asks of engines: one that matches photos, and one that tells look-alikes apart."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from skymoor.types import Photos, Progress
+from skymoor.types import Array, Component, Photos, Progress
 
 
 class PairMatcher(Protocol):
@@ -18,6 +19,27 @@ class PairMatcher(Protocol):
 
     def __call__(self, photos: Photos, database: Path, folder: Path, *, seed: int, progress: Progress) -> None:
         """Detect, match and verify."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewGraph:
+    """Photos, the pairs of them that match, and what a first reconstruction has made of those.
+
+    `pairs` are photo numbers (i, j); the matches of pair k are `matches[k]` (m, 4): u, v in photo i and u, v in photo
+    j. Each of `components` is in a frame of its own, names its cameras' images as `photos` does, and may be folded.
+    """
+
+    photos: Photos
+    pairs: tuple[tuple[int, int], ...]
+    matches: tuple[Array, ...]
+    components: tuple[Component, ...]
+
+
+class PairFilter(Protocol):
+    """Finds the pairs of photos that match although they show different places."""
+
+    def __call__(self, graph: ViewGraph) -> list[int]:
+        """Rows of `graph.pairs` that are to be kept, in order."""
 
 
 def colmap_name(index: int, size: tuple[int, int]) -> str:

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from skymoor.errors import DegenerateGeometry
-from skymoor.types import Array, Array32, DepthMap, Image
+from skymoor.types import Array, DepthMap
 
 INNER_PER_LEVEL = 100.0
 RIM = 0.5  # width of the squeezed rim, as a share of the half side of the site
@@ -98,19 +98,6 @@ class Box:
         return torch.where(falls, near, torch.ones_like(near)), torch.where(falls, far, torch.zeros_like(far))
 
 
-def sure_pixels(depth_map: DepthMap, max_sigma_ratio: float, step: int) -> tuple[Array32, Image]:
-    """Points (n, 3) in the map's frame, and colours (n, 3), of every `step`-th pixel whose depth is certain enough."""
-    i = depth_map.camera.intrinsics
-    rows = np.arange(step // 2, i.height, step)
-    columns = np.arange(step // 2, i.width, step)
-    depth, sigma = depth_map.depth[np.ix_(rows, columns)], depth_map.sigma[np.ix_(rows, columns)]
-    with np.errstate(invalid="ignore"):
-        row, column = np.nonzero(sigma < max_sigma_ratio * depth)
-    rays = i.rays(np.column_stack([columns[column], rows[row]]) + 0.5)
-    points = depth_map.camera.cam_from_world.inverse().apply(rays * depth[row, column][:, None])
-    return points.astype(np.float32), depth_map.rgb[rows[row], columns[column]]
-
-
 def covered_points(
     maps: Sequence[DepthMap], max_sigma_ratio: float, *, min_maps: int, across: int = 96, per_map: int = 20000
 ) -> Array:
@@ -121,7 +108,7 @@ def covered_points(
     clouds = []
     for depth_map in maps:
         step = max(1, round(np.sqrt(depth_map.depth.size / per_map)))
-        clouds.append(sure_pixels(depth_map, max_sigma_ratio, step)[0])
+        clouds.append(depth_map.points(max_sigma_ratio=max_sigma_ratio, step=step)[0])
     points = np.concatenate(clouds).astype(np.float64) if clouds else np.zeros((0, 3))
     if len(points) < 100:
         raise DegenerateGeometry("the depth maps hold next to no depth that is certain enough")

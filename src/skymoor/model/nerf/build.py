@@ -13,7 +13,7 @@ import torch
 
 from skymoor.errors import DegenerateGeometry
 from skymoor.model.nerf._torch import choose_device, torch_threads
-from skymoor.model.nerf.box import INNER_PER_LEVEL, Box, covered_points, make_box, sure_pixels
+from skymoor.model.nerf.box import INNER_PER_LEVEL, Box, covered_points, make_box
 from skymoor.model.nerf.builder import NerfBuilder
 from skymoor.model.nerf.exposure import exposure_log_gains
 from skymoor.model.nerf.field import Field
@@ -123,7 +123,7 @@ def _coloured_points(
     """Photo (n,), inner position (n, 3) and colour (n, 3) of measured pixels of all photos."""
     total = sum(m.depth.size for m in maps)
     step = max(1, round(np.sqrt(total / SPLAT_POINTS)))
-    parts = [sure_pixels(m, max_sigma_ratio, step) for m in maps]
+    parts = [m.points(max_sigma_ratio=max_sigma_ratio, step=step) for m in maps]
     image = np.repeat(np.arange(len(maps)), [len(points) for points, _ in parts])
     xyz = np.concatenate([box.inner_from_level(points.astype(np.float64)) for points, _ in parts]).astype(np.float32)
     return image, xyz, np.concatenate([colours for _, colours in parts])

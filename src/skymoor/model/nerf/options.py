@@ -45,7 +45,7 @@ class Sizes:
     bins: int = 64
     render_samples: int = 12
     refine_samples: int = 6
-    iterations: int = 1000
+    iterations: int = 600
     passes: float = 0.5
     table_rate: float = 3e-2
     mlp_rate: float = 4e-3
@@ -120,8 +120,8 @@ class PriorOptions:
         max_sigma_ratio: depths less certain than this share of themselves do not count.
     """
 
-    cell_px: float = 3.0
-    max_cells_across: int = 384
+    cell_px: float = 2.0
+    max_cells_across: int = 640
     band_cells: float = 2.5
     slope: float = 4.0
     unknown: float = -2.0

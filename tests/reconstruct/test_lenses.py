@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lenses that are shared must be found, others be left alone, and those that nothing fixes be given up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from numpy.typing import NDArray
+
+from skymoor.colmap import colmap_from_component
+from skymoor.geometry.similarity import umeyama
+from skymoor.reconstruct.calibration import adjust
+from skymoor.reconstruct.lenses import (
+    LensOptions,
+    _regrouped,
+    is_real,
+    share_lenses,
+    shared_lenses,
+    without_doubtful,
+    write_lenses,
+)
+from skymoor.types import Camera
+from walks import PHONE, WIDE, reconstructed, walk, wall_points, watchers
+
+Array = NDArray[np.float64]
+OPTIONS = LensOptions()
+
+
+def by_itself(cameras: Sequence[Camera], *, seed: int = 0, points: int = 700) -> pycolmap.Reconstruction:
+    """The reconstruction in which each photo has calibrated itself, from a wrong start."""
+    component = reconstructed(cameras, wall_points(points), seed=seed)
+    model = _regrouped(colmap_from_component(component), [], replace(OPTIONS, second_term_from=10**9))
+    rng = np.random.default_rng(seed)
+    for camera in model.cameras.values():
+        params = camera.params
+        params[0] *= 1 + rng.normal(scale=0.05)
+        camera.params = params
+    adjust(model)
+    return model
+
+
+def focal_px(model: pycolmap.Reconstruction) -> dict[str, float]:
+    images = [model.image(i) for i in model.reg_image_ids()]
+    return {image.name: float(model.camera(image.camera_id).params[0]) for image in images}
+
+
+def centre_error_m(model: pycolmap.Reconstruction, cameras: Sequence[Camera]) -> float:
+    truth = {camera.image: camera.centre for camera in cameras}
+    images = [model.image(i) for i in model.reg_image_ids()]
+    found = np.array([image.projection_center() for image in images])
+    true = np.array([truth[image.name] for image in images])
+    return float(np.linalg.norm(umeyama(found, true).apply(found) - true, axis=1).mean())
+
+
+def test_the_photos_of_a_walk_share_a_lens_and_security_cameras_do_not() -> None:
+    cameras = [*walk(), *watchers()]
+    alone = by_itself(cameras, points=200)
+    together = share_lenses(alone, OPTIONS)
+    users = {i: together.image(i).camera_id for i in together.reg_image_ids()}
+    lens_of = {together.image(i).name: camera for i, camera in users.items()}
+    assert len({lens_of[camera.image] for camera in walk()}) == 1
+    assert len(set(lens_of.values())) == 3
+    found = focal_px(together)
+    assert found["walk_0"] == pytest.approx(PHONE.fx, rel=0.01)
+    assert found["watcher_0"] == pytest.approx(WIDE[0].fx, rel=0.03)
+    assert found["watcher_1"] == pytest.approx(WIDE[1].fx, rel=0.03)
+    # That is what it is for: a photo by itself trades its focal length for its place.
+    before, after = (centre_error_m(model, cameras) for model in (alone, together))
+    assert before > 0.03
+    assert 0.001 < after < 0.5 * before
+
+
+def test_ids_names_and_points_stay() -> None:
+    alone = by_itself([*walk(), *watchers()])
+    together = share_lenses(alone, OPTIONS)
+    assert sorted(together.reg_image_ids()) == sorted(alone.reg_image_ids())
+    assert all(together.image(i).name == alone.image(i).name for i in alone.reg_image_ids())
+    assert together.num_points3D() > 0.98 * alone.num_points3D()
+    assert len(alone.cameras) == 11  # the first one is left as it was
+
+
+def test_wrong_observations_do_not_hide_a_shared_lens() -> None:
+    """A photo by itself bends its lens round a few wrong points; the shared lens must not be refused for those."""
+    component = reconstructed(walk(), wall_points())
+    rng, px = np.random.default_rng(2), component.obs_px.copy()
+    mine = np.flatnonzero(component.obs_camera == 4)
+    wrong = rng.choice(mine, len(mine) // 25, replace=False)
+    px[wrong] += rng.normal(scale=15.0, size=(len(wrong), 2))
+    model = _regrouped(colmap_from_component(replace(component, obs_px=px)), [], OPTIONS)
+    adjust(model)
+    together = share_lenses(model, OPTIONS)
+    assert len(together.cameras) == 1
+    # What did not fit is gone, and little else.
+    gone = model.compute_num_observations() - together.compute_num_observations()
+    assert 0.7 * len(wrong) < gone < 3 * len(wrong)
+
+
+def test_too_few_photos_are_no_crowd() -> None:
+    together = share_lenses(by_itself(walk(3)), OPTIONS)
+    assert len(together.cameras) == 3
+
+
+def test_a_photo_whose_lens_nothing_fixes_is_given_up() -> None:
+    cameras = [*walk(), *watchers()]
+    together = share_lenses(by_itself(cameras), OPTIONS)
+    assert without_doubtful(together, OPTIONS).num_reg_images() == 11
+    strict = replace(OPTIONS, min_observations=10**6)  # of photos with lenses of their own
+    kept = without_doubtful(together, strict)
+    assert sorted(focal_px(kept)) == sorted(camera.image for camera in walk())
+    assert len(kept.cameras) == 1
+    assert without_doubtful(together, replace(OPTIONS, max_focal_sigma=1e-6)).num_reg_images() == 0
+    # Lost lenses are found by what no lens can be.
+    lost = pycolmap.Reconstruction(together)
+    camera = lost.camera(lost.image(next(i for i in lost.reg_image_ids() if "watcher" in lost.image(i).name)).camera_id)
+    camera.params = [9000.0, *camera.params[1:]]
+    assert not is_real(camera, OPTIONS)
+    assert without_doubtful(lost, OPTIONS).num_reg_images() == 10
+
+
+def test_one_phone_in_two_reconstructions_is_one_lens() -> None:
+    models = [share_lenses(by_itself(walk(seed=seed), seed=seed), OPTIONS) for seed in (3, 4)]
+    other = [replace(c, image=f"other_{c.image}", intrinsics=replace(PHONE, fx=600.0, fy=600.0)) for c in walk()]
+    models.append(share_lenses(by_itself(other), OPTIONS))
+    lens_of = shared_lenses(models, OPTIONS)
+    assert len(lens_of) == 18
+    assert lens_of["walk_0"].params[0] == pytest.approx(PHONE.fx, rel=0.01)
+    assert lens_of["other_walk_0"].params[0] == pytest.approx(600, rel=0.01)
+    assert len({id(camera) for camera in lens_of.values()}) == 2
+
+
+def test_lenses_are_written_for_their_photos_and_begin_those_of_others(tmp_path: Path) -> None:
+    with pycolmap.Database.open(tmp_path / "database.db") as db:
+        for name, width in (("a", 640), ("b", 640), ("c", 300)):
+            camera = pycolmap.Camera.create_from_model_name(0, "SIMPLE_RADIAL", 1.2 * width, width, 480)
+            db.write_image(pycolmap.Image(name=name, camera_id=db.write_camera(camera)))
+        lens = pycolmap.Camera(model="RADIAL", width=640, height=480, params=[500, 320, 240, -0.1, 0.02])
+        fixed = write_lenses(db, {"a": lens})
+        a, b, c = (db.read_camera(db.read_image_with_name(name).camera_id) for name in "abc")  # type: ignore[union-attr]
+        assert fixed == {a.camera_id}
+        np.testing.assert_allclose(a.params, lens.params)
+        np.testing.assert_allclose(b.params, lens.params)
+        assert (a.has_prior_focal_length, b.has_prior_focal_length) == (True, False)
+        assert c.params[0] == 360  # a lens of another size is no start

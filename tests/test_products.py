@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a ground component that stands on an airborne one leaves in the tables."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from blocks import block
+from skymoor.geo import EnuFrame, Grid
+from skymoor.geometry.similarity import Similarity
+from skymoor.ground import CameraWitness
+from skymoor.pipeline import Placed
+from skymoor.products import PlacedSet, accuracies, camera_rows
+from skymoor.types import Reference, Registration
+
+COVARIANCE = np.diag([0.5, 0.6, 2.0])
+REFERENCE = Reference(
+    EnuFrame(47.0, 8.0, 400.0),
+    Grid(-20.0, 20.0, 1.0, (40, 40)),
+    np.zeros((40, 40, 3), np.uint8),
+    np.ones((40, 40), bool),
+    np.zeros((40, 40), np.float32),
+    COVARIANCE,
+    0.5,
+)
+
+
+def registration(variance_m2: float, centre: list[float]) -> Registration:
+    covariance = np.diag([1e-8] * 4 + [variance_m2] * 3)
+    return Registration(
+        True, "", Similarity.identity(), covariance=covariance, centroid_enu=np.array(centre), n_matches=100
+    )
+
+
+@pytest.fixture
+def ground() -> Placed:
+    component = replace(block("orbit", relief_m=5.0), calibration=None)
+    base = Placed("airborne-0", component, Similarity.identity(), registration(0.3, [0, 0, 0]))
+    return Placed("ground0-0", component, Similarity.identity(), registration(0.2, [0, 0, 0]), base=base)
+
+
+def witness(image: str, *, contradicts: bool) -> CameraWitness:
+    return CameraWitness(image, 0.5, 100, 1.2 if contradicts else 0.1, True, contradicts)
+
+
+def test_a_ground_camera_is_as_unsure_as_all_that_it_stands_on(ground: Placed) -> None:
+    alone, _ = accuracies(replace(ground, base=None), REFERENCE)
+    both, height = accuracies(ground, REFERENCE)
+    # Horizontal variances of about 0.55 + 0.2, and with the airborne model's 0.3 on top.
+    assert np.median(both / alone) == pytest.approx(np.sqrt((0.55 + 0.5) / (0.55 + 0.2)), rel=0.02)
+    assert np.median(height) == pytest.approx(1.6449 * np.sqrt(2.0 + 0.5), rel=0.05)
+
+
+def test_a_camera_that_contradicts_gets_no_place(ground: Placed) -> None:
+    images = [camera.image for camera in ground.component.cameras]
+    doubted = replace(ground, witnesses=[witness(image, contradicts=image == images[1]) for image in images])
+    rows = camera_rows(PlacedSet("ground0", [*images, "ground/alone.jpg"], [doubted]), REFERENCE)
+    assert sorted(row.image for row in rows) == sorted([*images, "ground/alone.jpg"])
+    unplaced = {row.image: row for row in rows if row.lat is None}
+    assert set(unplaced) == {images[1], "ground/alone.jpg"}
+    assert unplaced[images[1]].component == 0 and unplaced["ground/alone.jpg"].component is None
+    assert all(row.status == "REGISTERED" for row in rows if row.image not in unplaced)
