@@ -220,7 +220,7 @@ def _write_rasters(placed: Sequence[Placed], reference: Reference, options: Matc
     height = np.full(reference.grid.shape, np.nan, np.float32)
     clouds, colours = [], []
     for item in placed:
-        if item.registration.enu_from_level is None:
+        if not item.registration.registered or item.registration.enu_from_level is None:
             continue
         if item.render is None:
             for xyz_level, rgb_of in (depth_map.points(step=GROUND_STEP_PX) for depth_map in item.depths):

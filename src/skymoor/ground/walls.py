@@ -61,7 +61,8 @@ class GroundOptions:
         pixel_m, ground_pixel_m: of the pictures of airborne and of ground walls.
         searched_walls: largest walls of the ground model that are searched on all airborne ones.
         min_scale, max_scale: metres per unit of the ground model that are searched. A levelled component has the
-            cameras' height above the ground for its unit.
+            cameras' height above the ground for its unit, but little ground is seen before a wall, so that the unit
+            may be half or one and a half times of what it ought to be.
         max_blocked: share of the viewing rays of a guess that may cross buildings.
         max_angle_deg, max_gap_m: a ground wall and an airborne wall this close are matched densely.
         finalists: answers that are refined with all that the photos show.
@@ -73,8 +74,8 @@ class GroundOptions:
     pixel_m: float = 0.2
     ground_pixel_m: float = 0.1
     searched_walls: int = 5
-    min_scale: float = 1.1
-    max_scale: float = 2.3
+    min_scale: float = 0.6
+    max_scale: float = 2.6
     max_blocked: float = 0.35
     max_angle_deg: float = 12.0
     max_gap_m: float = 1.5
