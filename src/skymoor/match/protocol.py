@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the registration asks of a matcher."""
+"""What the registration asks of a matcher, and of what says which pictures are worth matching."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
-from skymoor.types import Raster, Warp
+from skymoor.types import Array, Raster, Warp
 
 
 class DenseMatcher(Protocol):
@@ -17,3 +18,14 @@ class DenseMatcher(Protocol):
 
     def __call__(self, a: Raster, b: Raster) -> Warp:
         """Match both ways; confidence 0 where nothing can be said."""
+
+
+class Retriever(Protocol):
+    """Which tiles may show what a photo shows, by a look at whole pictures.
+
+    All queries come at once, so that each tile is looked at once, and so that what is common to all photos, or to all
+    renders, can be told from what is special.
+    """
+
+    def __call__(self, queries: Sequence[Raster], tiles: Sequence[Raster]) -> Array:
+        """Likeness (n queries, n tiles), the higher the better; comparable within a row only."""

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which tiles look like a photo, without learned features: the mix of edge directions in parts of the picture.
+
+The offline stand-in for a learned descriptor such as AnyLoc (Keetha et al. 2023), and no match for it: between a photo
+from the ground and a render from the air it is hardly better than chance (simulated site, mean rank of right tiles
+0.46 to 0.49 of all). It serves to let different photos try different tiles first; pictures from alike directions it
+does tell apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from skymoor.match.channels import N_COLOUR, ChannelOptions, make_channels
+from skymoor.match.protocol import Retriever
+from skymoor.types import Array, Array32, Raster
+
+UNLIKE = -1.0
+"""Likeness of a tile that shows nothing."""
+
+
+@dataclass(frozen=True)
+class ChannelRetriever:
+    """Compares pooled orientation channels at several sizes of the picture; colours are not looked at.
+
+    Attributes:
+        long_px: long side to which pictures are reduced.
+        octaves: so many sizes are described, each half of the one before.
+        cells: the picture is described in `cells` x `cells` parts, and as a whole.
+        channels: how channels are made.
+    """
+
+    long_px: int = 192
+    octaves: int = 3
+    cells: int = 2
+    channels: ChannelOptions = field(default_factory=ChannelOptions)
+
+    def __call__(self, queries: Sequence[Raster], tiles: Sequence[Raster]) -> Array:
+        """Cosines (n queries, n tiles) between descriptors, -1 for tiles without a known pixel; see `Retriever`."""
+        if not queries or not tiles:
+            return np.zeros((len(queries), len(tiles)))
+        of_queries, of_tiles = (np.stack([self._describe(r) for r in rasters]) for rasters in (queries, tiles))
+        shown = np.array([tile.mask.any() for tile in tiles])
+        known = of_tiles[shown] if shown.any() else of_tiles
+        spread = known.std(axis=0) + 1e-6
+        # Photos differ from renders far more than one place from another: each kind is centred on its own mean. One
+        # photo has no mean of its own.
+        middle = of_queries.mean(axis=0) if len(queries) > 1 else known.mean(axis=0)
+        likeness = _unit((of_queries - middle) / spread) @ _unit((of_tiles - known.mean(axis=0)) / spread).T
+        return np.where(shown, likeness, UNLIKE)
+
+    def _describe(self, raster: Raster) -> Array:
+        """Means of the channels and of their absolute values, in all parts, at all sizes."""
+        parts = []
+        for octave in range(self.octaves):
+            small = _reduced(raster, self.long_px / 2**octave)
+            channels = make_channels(small, self.channels)
+            colour = np.moveaxis(channels.values[:N_COLOUR], 0, -1)
+            known = channels.known[0]
+            for cells in {1, self.cells}:
+                weight = _pooled(known, cells) + 1e-3
+                parts += [(_pooled(x, cells) / weight[..., None]).ravel() for x in (colour, np.abs(colour))]
+        return np.concatenate(parts).astype(np.float64)
+
+
+_: type[Retriever] = ChannelRetriever
+
+
+def _reduced(raster: Raster, long_px: float) -> Raster:
+    h, w = raster.mask.shape
+    ratio = min(1.0, long_px / max(h, w))
+    size = (max(round(w * ratio), 8), max(round(h * ratio), 8))
+    rgb = cv2.resize(raster.rgb, size, interpolation=cv2.INTER_AREA)
+    mask = cv2.resize(raster.mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+    return Raster(rgb, mask)
+
+
+def _pooled(values: Array32, cells: int) -> Array32:
+    """Means over the parts of a picture (h, w, ...)."""
+    return np.asarray(cv2.resize(values, (cells, cells), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _unit(rows: Array) -> Array:
+    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12))
