@@ -122,6 +122,14 @@ def test_components_are_rows_and_unplaced_ones_have_no_numbers() -> None:
     assert rows[2].mean_absolute_m == pytest.approx(2.0, abs=1e-6)
 
 
+def test_a_camera_without_a_place_does_not_undo_its_component() -> None:
+    truth = truth_positions(6)
+    found = estimates(truth + [1.0, 0, 0])
+    (row,) = evaluate([*found[:5], Estimate("air/5.jpg", "airborne", 0, False)], truths(truth), FRAME, COVARIANCE, {})
+    assert (row.status, row.n_cameras) == ("REGISTERED", 5)
+    assert row.mean_absolute_m == pytest.approx(1.0, abs=1e-6)
+
+
 def test_mistakes_in_the_lists() -> None:
     truth = truth_positions(6)
     found, known = estimates(truth), truths(truth)

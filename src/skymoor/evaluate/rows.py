@@ -114,10 +114,12 @@ def _row(
     covariance: Array,
     scene_centre: Array | None,
 ) -> EvaluationRow:
-    placed = all(estimate.registered for estimate in group)
+    # A camera that contradicts its component has no place; the others have.
+    placed = [estimate for estimate in group if estimate.registered]
     n_truth = sum(estimate.image in truth_enu for estimate in group)
     if not placed:
         return EvaluationRow(*name, "NOT_REGISTERED", len(group), n_truth)
+    group = placed
     missing = [estimate.image for estimate in group if estimate.image not in truth_enu]
     if missing:
         shown = ", ".join(missing[:NAMED_IN_MESSAGE]) + (", ..." if len(missing) > NAMED_IN_MESSAGE else "")

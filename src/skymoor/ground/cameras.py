@@ -27,10 +27,13 @@ class CameraOptions:
     Attributes:
         min_matches: with fewer a camera has no say, for or against.
         max_offset_m: largest median distance between where a wall is and where the photo shows it.
+        max_offset_ratio: the same in units of what the component's cameras have in the middle: where walls repeat
+            themselves, all of them are seen less well.
     """
 
-    min_matches: int = 40
+    min_matches: int = 150
     max_offset_m: float = 0.75
+    max_offset_ratio: float = 6.0
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ def hear_cameras(
         gaps = enu_from_level.apply(matches.xyz_level) - matches.xyz_enu
         offset = float(np.linalg.norm(np.median(gaps, axis=0))) if len(gaps) else float("nan")
         enough = len(matches) >= limits.min_matches
-        contradicts = enough and offset > limits.max_offset_m
-        heard.append(CameraWitness(depth_map.camera.image, ncc, len(matches), offset, enough, contradicts))
-    return heard
+        heard.append(CameraWitness(depth_map.camera.image, ncc, len(matches), offset, enough, contradicts=False))
+    usual = float(np.median([witness.offset_m for witness in heard if witness.heard] or [0.0]))
+    limit = max(limits.max_offset_m, limits.max_offset_ratio * usual)
+    return [replace(witness, contradicts=witness.heard and witness.offset_m > limit) for witness in heard]
