@@ -7,7 +7,7 @@ Pixels: u right, v down, the centre of the first pixel at (0.5, 0.5).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -226,6 +226,22 @@ class Matches3D:
 
     def __len__(self) -> int:
         return len(self.xyz_level)
+
+    def take(self, index: NDArray[np.intp] | Mask) -> Matches3D:
+        """Keep some of the matches."""
+        return Matches3D(self.xyz_level[index], self.xyz_enu[index], self.pixels.take(index))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Matches3D]) -> Matches3D:
+        """All matches of all parts; their pixels are each part's own."""
+        none = np.zeros((0, 3))
+        pixels = Matches2D(
+            np.concatenate([none[:, :2], *(part.pixels.px_a for part in parts)]),
+            np.concatenate([none[:, :2], *(part.pixels.px_b for part in parts)]),
+            np.concatenate([none[:, 0], *(part.pixels.confidence for part in parts)]),
+        )
+        xyz_level = np.concatenate([none, *(part.xyz_level for part in parts)])
+        return cls(xyz_level, np.concatenate([none, *(part.xyz_enu for part in parts)]), pixels)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from skymoor.facade import Counterpart, Facade, affine_between
 from skymoor.geometry.similarity import Similarity
 from skymoor.match import CyclicOptions, DenseMatcher, cyclic_matches, match_placed
-from skymoor.types import Array, Matches2D, Matches3D
+from skymoor.types import Array, Matches3D
 
 FEWEST_PX = 300
 OVERLAP_PX = 10
@@ -35,7 +35,7 @@ def wall_matches(
     for facade, other, b_from_a in _couples(facades, others, placed, max_angle_deg, max_gap_m):
         matches, _ = match_placed(facade.raster, other.raster, b_from_a, matcher, cyclic, rng=rng)
         found.append(Matches3D(facade.xyz(matches.px_a), other.xyz(matches.px_b), matches))
-    return joined(found)
+    return Matches3D.joined(found)
 
 
 def photo_matches(
@@ -57,22 +57,7 @@ def photo_matches(
         matches = cyclic_matches(matcher(pair.near, pair.far), cyclic, rng=rng)
         xyz_level = level_from_enu.apply(pair.facade.xyz(matches.px_a + pair.offset_px))
         found.append(Matches3D(xyz_level, pair.facade.xyz(matches.px_b + pair.offset_px), matches))
-    return joined(found)
-
-
-def joined(parts: Sequence[Matches3D]) -> Matches3D:
-    """All matches of all parts; their pixels are each part's own."""
-    none = np.zeros((0, 2))
-    pixels = Matches2D(
-        np.concatenate([none, *(part.pixels.px_a for part in parts)]),
-        np.concatenate([none, *(part.pixels.px_b for part in parts)]),
-        np.concatenate([np.zeros(0), *(part.pixels.confidence for part in parts)]),
-    )
-    return Matches3D(
-        np.concatenate([np.zeros((0, 3)), *(part.xyz_level for part in parts)]),
-        np.concatenate([np.zeros((0, 3)), *(part.xyz_enu for part in parts)]),
-        pixels,
-    )
+    return Matches3D.joined(found)
 
 
 def _couples(

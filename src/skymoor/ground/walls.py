@@ -30,7 +30,7 @@ from skymoor.facade import (
     surface_of,
 )
 from skymoor.geometry.similarity import Similarity
-from skymoor.ground.matches import joined, photo_matches, wall_matches
+from skymoor.ground.matches import photo_matches, wall_matches
 from skymoor.match import (
     CyclicOptions,
     DenseMatcher,
@@ -272,7 +272,7 @@ class _Work:
         if not all_photos:
             return found
         pairs = counterparts(self.airborne.facades, self.airborne.relief, self.maps, placed, options.counterparts)
-        return joined([found, photo_matches(pairs, placed, options.dense, options.cyclic, rng=self.rng)])
+        return Matches3D.joined([found, photo_matches(pairs, placed, options.dense, options.cyclic, rng=self.rng)])
 
     def _candidate(self, answer: Guess, found: Registration, placed: Similarity) -> Candidate:
         relief = self.airborne.relief

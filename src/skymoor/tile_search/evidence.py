@@ -16,7 +16,7 @@ from skymoor.match import CyclicOptions, DenseMatcher, cyclic_matches
 from skymoor.register import RegisterOptions, independent_cells, register
 from skymoor.register.icp import IcpOptions, IcpResult, refine_icp
 from skymoor.tile_search.pictures import AirborneTiles, GroundPhoto, PictureOptions, lift_pair
-from skymoor.types import Array, Mask, Matches2D, Matches3D, Registration
+from skymoor.types import Array, Mask, Matches3D, Registration
 
 
 @dataclass(frozen=True)
@@ -85,13 +85,11 @@ class Pool:
         """All matches of the pairs."""
         sizes = [len(pair.matches) for pair in pairs]
         photo = np.repeat(np.array([pair.photo for pair in pairs], dtype=np.intp), sizes)
-        return cls(_joined([pair.matches for pair in pairs]), photo)
+        return cls(Matches3D.joined([pair.matches for pair in pairs]), photo)
 
     def take(self, index: Mask) -> Pool:
         """Keep some of the matches."""
-        m = self.matches
-        kept = Matches3D(m.xyz_level[index], m.xyz_enu[index], m.pixels.take(index))
-        return Pool(kept, self.photo[index])
+        return Pool(self.matches.take(index), self.photo[index])
 
     def gaps_m(self, enu_from_level: Similarity) -> Array:
         """Distances (n,) that a transform leaves."""
@@ -118,7 +116,7 @@ class Evidence:
         count = len(matches)
         if count > options.matches_per_pair:
             index = np.sort(self.rng.choice(count, options.matches_per_pair, replace=False))
-            matches = Matches3D(matches.xyz_level[index], matches.xyz_enu[index], matches.pixels.take(index))
+            matches = matches.take(index)
         return PairEvidence(photo, tile, count, matches)
 
     def hypothesis(self, matches: Matches3D, *, level: bool) -> Similarity | None:
@@ -278,17 +276,3 @@ def _told(icp: IcpResult | None) -> dict[str, float]:
     if icp is None:
         return {}
     return {"icp_helped": float(icp.helped), "icp_moved_m": icp.moved_m, "icp_overlap": icp.overlap}
-
-
-def _joined(parts: Sequence[Matches3D]) -> Matches3D:
-    empty = np.zeros((0, 3))
-    pixels = [part.pixels for part in parts]
-    return Matches3D(
-        np.concatenate([empty, *(part.xyz_level for part in parts)]),
-        np.concatenate([empty, *(part.xyz_enu for part in parts)]),
-        Matches2D(
-            np.concatenate([empty[:, :2], *(p.px_a for p in pixels)]),
-            np.concatenate([empty[:, :2], *(p.px_b for p in pixels)]),
-            np.concatenate([empty[:, 0], *(p.confidence for p in pixels)]),
-        ),
-    )

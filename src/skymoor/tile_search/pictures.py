@@ -146,7 +146,7 @@ def lift_pair(matches: Matches2D, photo: GroundPhoto, tile: Tile) -> Matches3D:
     xyz_level = photo.xyz_level[np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)].astype(np.float64)
     xyz_enu = np.column_stack([sample(tile.xyz_enu[..., axis], matches.px_b) for axis in range(3)])
     good = np.isfinite(xyz_level).all(axis=1) & np.isfinite(xyz_enu).all(axis=1)
-    return Matches3D(xyz_level[good], xyz_enu[good], matches.take(good))
+    return Matches3D(xyz_level, xyz_enu, matches).take(good)
 
 
 def samples_of(photos: Sequence[GroundPhoto], count: int, rng: np.random.Generator) -> Array:
