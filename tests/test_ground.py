@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from houses import centres, from_the_air, houses, walk_round
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
-from skymoor.ground import AirborneWalls, GroundOptions, airborne_walls, hear_cameras, moved_map, register_ground
+from skymoor.ground import AirborneWalls, GroundOptions, airborne_walls, hear_cameras, moved_map, search_ground
 from skymoor.register import PoolOptions
 from skymoor.types import Camera, DepthMap
 
@@ -35,7 +35,7 @@ def floated(maps: list[DepthMap], *, tilt_deg: float = 0.6) -> tuple[list[DepthM
 
 def test_a_walk_is_laid_where_it_was(walls: AirborneWalls) -> None:
     maps, enu_from_level = floated(walk_round(houses(SITE), HOUSE))
-    found = register_ground(maps, walls, QUICK, rng=np.random.default_rng(0))
+    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).judged()
     assert found.registered, found.reason
     assert found.enu_from_level is not None
     gaps = found.enu_from_level.apply(centres(maps)) - enu_from_level.apply(centres(maps))
@@ -53,7 +53,7 @@ def test_windows_without_depth_do_not_matter(walls: AirborneWalls) -> None:
         for m in walk_round(houses(SITE), HOUSE)
     ]
     maps, enu_from_level = floated(dark)
-    found = register_ground(maps, walls, QUICK, rng=np.random.default_rng(0))
+    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).judged()
     assert found.registered, found.reason
     assert found.enu_from_level is not None
     gaps = found.enu_from_level.apply(centres(maps)) - enu_from_level.apply(centres(maps))
@@ -62,7 +62,7 @@ def test_windows_without_depth_do_not_matter(walls: AirborneWalls) -> None:
 
 def test_another_site_is_refused(walls: AirborneWalls) -> None:
     maps, _ = floated(walk_round(houses(SITE + 1), HOUSE))
-    found = register_ground(maps, walls, QUICK, rng=np.random.default_rng(0))
+    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).judged()
     assert not found.registered
     assert found.reason
 
@@ -70,7 +70,7 @@ def test_another_site_is_refused(walls: AirborneWalls) -> None:
 def test_a_model_without_walls_is_refused(walls: AirborneWalls) -> None:
     maps, _ = floated(walk_round(houses(SITE), HOUSE, count=2))
     blind = [replace(m, depth=np.full_like(m.depth, np.nan)) for m in maps]
-    found = register_ground(blind, walls, QUICK, rng=np.random.default_rng(0))
+    found = search_ground(blind, walls, QUICK, rng=np.random.default_rng(0)).judged()
     assert not found.registered
     assert "no wall" in found.reason
 

@@ -80,6 +80,7 @@ class Placed:
     registration: Registration
     gravity: Gravity | None = None
     depths: Sequence[DepthMap] = ()
+    model: SceneModel | None = None
     render: Render | None = None
     matches: Matches3D | None = None
     relief: Relief | None = None
@@ -146,14 +147,15 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
         level_from_sfm = level_from_gravity(component, gravity)
         level = component.moved(level_from_sfm)
         depths = densify_component(name, level, level_from_sfm, job, source, options.densify)
-        render = _render_nadir(name, _model(name, level, depths, job), job)
+        model = _model(name, level, depths, job)
+        render = _render_nadir(name, model, job)
     except DegenerateGeometry as error:
         return refused(name, component, str(error))
     placements = _search(name, render, job)
     if not placements:
         reason = "the reference is too small for the model at any height that was searched"
         nothing = Registration(registered=False, reason=reason, enu_from_level=None)
-        return Placed(name, level, level_from_sfm, nothing, gravity, depths, render)
+        return Placed(name, level, level_from_sfm, nothing, gravity, depths, model, render)
     registration, matches = job.store.stage(
         f"{name}.register",
         lambda: _register_best(placements, render, job),
@@ -165,7 +167,7 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
     if registration.registered:
         _, up = lay_on_reference(render, registration, reference, options.match.min_height_confidence)
         relief = compare_relief(up, reference.height, reference.grid.pixel_m, options.relief)
-    return Placed(name, level, level_from_sfm, registration, gravity, depths, render, matches, relief)
+    return Placed(name, level, level_from_sfm, registration, gravity, depths, model, render, matches, relief)
 
 
 def densify_component(

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,30 +14,67 @@ import skymoor.geometry
 import skymoor.ground
 import skymoor.match
 import skymoor.register
+import skymoor.render
+import skymoor.tile_search
 from skymoor.errors import DegenerateGeometry
 from skymoor.ground import (
     AirborneWalls,
+    Answers,
     CameraWitness,
+    OneAnswer,
     airborne_walls,
+    decide_jointly,
     hear_cameras,
     moved_map,
-    register_ground,
+    search_ground,
     walls_picture,
 )
 from skymoor.orient import estimate_ground_gravity, level_from_gravity
 from skymoor.pipeline import Job, Placed, densify_component, reconstruct_set, refused
-from skymoor.types import Component, Image, Registration
+from skymoor.render import oblique_views
+from skymoor.tile_search import cascade, exhaustive
+from skymoor.types import Component, Image, Registration, Render
+
+
+@dataclass(frozen=True, eq=False)
+class _Airborne:
+    """What ground components are laid on: the largest airborne component, the walls of all, and renders of it."""
+
+    base: Placed
+    walls: AirborneWalls | None
+    renders: Sequence[Render]
 
 
 def register_ground_sets(jobs: Sequence[Job], airborne: Sequence[Placed]) -> list[list[Placed]]:
     """Every component of every set of ground photos, placed on the airborne model or refused (paper, section 3.4)."""
-    bases = [item for item in airborne if item.registration.registered]
-    walls = _walls(bases, jobs[0]) if bases and jobs else None
-    found = []
-    for job in jobs:
+    if not jobs:
+        return []
+    ready = _airborne([item for item in airborne if item.registration.registered], jobs[0])
+    levelled = []
+    for number, job in enumerate(jobs):
         components = reconstruct_set(f"{job.name}.reconstruct", job, job.options.ground.reconstruct)
-        found.append([_place_ground(f"{job.name}-{k}", c, walls, bases, job) for k, c in enumerate(components)])
-    return found
+        levelled += [(number, _level(f"{job.name}-{k}", c, ready, job)) for k, c in enumerate(components)]
+    searched = [(item, _search(item, ready, jobs[n])) for n, item in levelled if ready and item.depths]
+    names = [item.name for item, _ in searched]
+    found = decide_jointly(
+        names,
+        [answers for _, answers in searched],
+        [item.depths for item, _ in searched],
+        jobs[0].options.ground.joint,
+    )
+    decided = dict(zip(names, found, strict=True))
+    placed = [(n, _heard(item, decided.get(item.name), ready, jobs[n])) for n, item in levelled]
+    return [[item for n, item in placed if n == number] for number in range(len(jobs))]
+
+
+def _airborne(bases: Sequence[Placed], job: Job) -> _Airborne | None:
+    """What is needed of the airborne components; None where no one is registered."""
+    if not bases:
+        return None
+    # Most photos make the surest ground to stand on.
+    base = max(bases, key=lambda item: len(item.component.cameras))
+    renders = [] if job.options.ground.method == "walls" else _renders(base, job)
+    return _Airborne(base, _walls(bases, job), renders)
 
 
 def _walls(bases: Sequence[Placed], job: Job) -> AirborneWalls | None:
@@ -61,13 +100,11 @@ def _walls(bases: Sequence[Placed], job: Job) -> AirborneWalls | None:
     )
 
 
-def _place_ground(
-    name: str, component: Component, walls: AirborneWalls | None, bases: Sequence[Placed], job: Job
-) -> Placed:
-    """Lay one ground component on the airborne model."""
+def _level(name: str, component: Component, airborne: _Airborne | None, job: Job) -> Placed:
+    """A ground component upright and with depth, not placed yet; without depth maps if that is as far as it goes."""
     options = job.options.ground
     try:
-        if walls is None:
+        if airborne is None:
             raise DegenerateGeometry("no airborne component is registered that it could be laid on")
         gravity = estimate_ground_gravity(component, job.photos, options.upright)
         level_from_sfm = level_from_gravity(component, gravity)
@@ -75,31 +112,96 @@ def _place_ground(
         depths = densify_component(name, level, level_from_sfm, job, f"{job.name}.reconstruct", options.densify)
     except DegenerateGeometry as error:
         return refused(name, component, str(error))
-    airborne = walls
+    found = refused(name, level, "not searched yet")
+    return replace(found, level_from_sfm=level_from_sfm, gravity=gravity, depths=depths, base=airborne.base)
 
-    def compute() -> tuple[Registration, list[CameraWitness], Image | None]:
-        rng = np.random.default_rng(job.seed)
-        found = register_ground(depths, airborne, options.place, rng=rng, progress=job.track(f"{name}: walls"))
-        if not found.registered or found.enu_from_level is None:
-            return found, [], None
-        heard = hear_cameras(depths, airborne, found.enu_from_level, options.place, rng=rng)
-        return found, heard, walls_picture(depths, airborne, found.enu_from_level, options.place)
 
-    registration, witnesses, picture = job.store.stage(
-        f"{name}.register",
-        compute,
-        options=(options.place, job.seed),
-        after=["walls", f"{name}.depths"],
+def _search(item: Placed, airborne: _Airborne, job: Job) -> Answers:
+    """Where a component may stand, by the chosen method."""
+    options, walls = job.options.ground.place, airborne.walls
+    if job.options.ground.method != "walls":
+        return _search_tiles(item, airborne, job)
+    if walls is None:
+        return OneAnswer(refused(item.name, item.component, "the airborne model shows no surface").registration)
+    return job.store.stage(
+        f"{item.name}.search",
+        lambda: search_ground(
+            item.depths,
+            walls,
+            options,
+            rng=np.random.default_rng(job.seed),
+            progress=job.track(f"{item.name}: walls"),
+        ),
+        options=(options, job.seed),
+        after=["walls", f"{item.name}.depths"],
         code=[skymoor.facade, skymoor.ground, skymoor.match, skymoor.register, skymoor.geometry],
     )
-    return Placed(
-        name,
-        level,
-        level_from_sfm,
-        registration,
-        gravity,
-        depths,
-        base=bases[0],
-        walls=picture,
-        witnesses=tuple(witnesses),
+
+
+def _search_tiles(item: Placed, airborne: _Airborne, job: Job) -> OneAnswer:
+    """Where the tiles of the airborne model's renders say that a component stands."""
+    options, base = job.options.ground, airborne.base
+
+    def compute() -> OneAnswer:
+        common: dict[str, Any] = {
+            "enu_from_render": base.registration.enu_from_level,
+            "rng": np.random.default_rng(job.seed),
+            "progress": job.track(f"{item.name}: tiles"),
+        }
+        try:
+            if options.method == "cascade":
+                found = cascade(item.depths, airborne.renders, options.matcher, options.cascade, **common)
+            else:
+                found = exhaustive(item.depths, airborne.renders, options.matcher, options.exhaustive, **common)
+        except DegenerateGeometry as error:
+            found = refused(item.name, item.component, str(error)).registration
+        return OneAnswer(found)
+
+    return job.store.stage(
+        f"{item.name}.tiles",
+        compute,
+        options=(options.method, options.matcher, options.cascade, options.exhaustive, job.seed),
+        after=[f"{base.name}.obliques", f"{base.name}.register", f"{item.name}.depths"],
+        code=[skymoor.tile_search, skymoor.match, skymoor.register, skymoor.geometry],
     )
+
+
+def _renders(base: Placed, job: Job) -> list[Render]:
+    """The airborne model from above and from all sides."""
+    options, model, nadir = job.options.render, base.model, base.render
+    assert model is not None
+    assert nadir is not None
+
+    def compute() -> list[Render]:
+        views = oblique_views(model.surface_points, model.pixel, options)
+        return [nadir, *(model.render(view, progress=job.track(f"view {k + 1}")) for k, view in enumerate(views))]
+
+    return job.store.stage(
+        f"{base.name}.obliques",
+        compute,
+        options=options,
+        after=[f"{base.name}.model", f"{base.name}.nadir"],
+        code=[skymoor.render],
+    )
+
+
+def _heard(item: Placed, found: Registration | None, airborne: _Airborne | None, job: Job) -> Placed:
+    """A component with its place, with what each of its cameras says of that, and with a picture."""
+    if found is None or airborne is None:
+        return item
+    options, walls, enu_from_level = job.options.ground.place, airborne.walls, found.enu_from_level
+    if not found.registered or enu_from_level is None or walls is None:
+        return replace(item, registration=found)
+
+    def compute() -> tuple[list[CameraWitness], Image | None]:
+        heard = hear_cameras(item.depths, walls, enu_from_level, options, rng=np.random.default_rng(job.seed))
+        return heard, walls_picture(item.depths, walls, enu_from_level, options)
+
+    witnesses, picture = job.store.stage(
+        f"{item.name}.cameras",
+        compute,
+        options=(options, job.seed, enu_from_level.scale, enu_from_level.rotation, enu_from_level.translation),
+        after=["walls", f"{item.name}.depths"],
+        code=[skymoor.facade, skymoor.ground, skymoor.match, skymoor.geometry],
+    )
+    return replace(item, registration=found, walls=picture, witnesses=tuple(witnesses))

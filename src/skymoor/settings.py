@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from skymoor.densify import SgmDepth
-from skymoor.ground import GroundOptions
+from skymoor.ground import GroundOptions, JointOptions
 from skymoor.lift import LiftOptions
 from skymoor.match import CyclicOptions, SearchOptions, StructuralMatcher
 from skymoor.model import MeshBuilder, NerfBuilder, SceneBuilder
@@ -15,6 +15,7 @@ from skymoor.orient import OrientOptions, UprightOptions
 from skymoor.reconstruct import ReconstructOptions, ground_options
 from skymoor.register import RegisterOptions, ReliefOptions
 from skymoor.render import RenderOptions
+from skymoor.tile_search import CascadeOptions, ConsensusOptions
 
 
 @dataclass(frozen=True)
@@ -63,13 +64,23 @@ class GroundSetOptions:
     Attributes:
         reconstruct, densify: as for the airborne set, for photos of several lenses from nearby.
         upright: how up is found.
-        place: how a component is laid on the airborne model.
+        method: how a component is laid on the airborne model. "walls" compares the walls of both models and needs no
+            learned matcher; "cascade" and "exhaustive" match the photos with tiles of the airborne model's renders by
+            `matcher`, few of the pairs or all as in the paper.
+        place: of "walls"; every component's cameras are heard with it.
+        matcher, cascade, exhaustive: of the other two.
+        joint: when components contradict each other.
     """
 
+    method: Literal["walls", "cascade", "exhaustive"] = "walls"
     reconstruct: ReconstructOptions = field(default_factory=ground_options)
     densify: SgmDepth = field(default_factory=SgmDepth)
     upright: UprightOptions = field(default_factory=UprightOptions)
     place: GroundOptions = field(default_factory=GroundOptions)
+    matcher: StructuralMatcher = field(default_factory=StructuralMatcher)
+    cascade: CascadeOptions = field(default_factory=CascadeOptions)
+    exhaustive: ConsensusOptions = field(default_factory=ConsensusOptions)
+    joint: JointOptions = field(default_factory=JointOptions)
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from skymoor.geo.frame import EnuFrame
 from skymoor.geo.grid import Grid
 from skymoor.geometry.adjust import point_covariance
 from skymoor.geometry.similarity import Similarity
-from skymoor.register import RegisterOptions, camera_covariances, judge, register
-from skymoor.register.airborne import independent_places
+from skymoor.register import RegisterOptions, camera_covariances, judge, register, restated
 from skymoor.types import Calibration, Camera, Matches2D, Matches3D, Reference, Registration
 
 Array = NDArray[np.float64]
@@ -124,10 +123,18 @@ def test_matches_that_repeat_each_other_are_not_worth_more() -> None:
     assert ((ratio > 0.8) & (ratio < 1.25)).all()
 
 
-def test_independent_places() -> None:
-    points = np.array([[0.1, 0.1, 0], [9.0, 9.0, 50], [10.1, 0.1, 0], [-0.1, 0.1, 0]])
-    assert independent_places(points, 10.0) == 3
-    assert independent_places(np.zeros((0, 3)), 10.0) == 0
+def test_a_transform_from_elsewhere_states_its_own_residuals() -> None:
+    matches = planted(seed=6)
+    found = registered(matches)
+    assert found.enu_from_level is not None
+    aside = Similarity(1.0, np.eye(3), np.array([0.3, 0.0, 0.0])) @ found.enu_from_level
+    moved = restated(found, aside, matches, 1.0)
+    assert moved.enu_from_level is aside
+    assert moved.residuals_m is not None and found.residuals_m is not None
+    np.testing.assert_allclose(moved.residuals_m - found.residuals_m, [[0.3, 0.0, 0.0]] * len(matches), atol=1e-9)
+    assert moved.inliers is not None
+    assert moved.n_inliers == np.count_nonzero(np.linalg.norm(moved.residuals_m, axis=1) <= 1.0)
+    assert moved.rmse_m > found.rmse_m
 
 
 class TestJudge:

@@ -19,9 +19,9 @@ def moved(east_m: float) -> Similarity:
     return Similarity(1.0, np.eye(3), np.array([east_m, 0.0, 0.0]))
 
 
-def candidate(score: float, east_m: float = 0.0) -> Candidate:
+def candidate(score: float, east_m: float = 0.0, cells: int = 40) -> Candidate:
     found = Registration(True, "", moved(east_m), n_matches=200, n_inliers=150, tilt_deg=1.0)
-    return Candidate(Guess(moved(east_m), 0, 0, 30.0), found, moved(east_m), score, 0.5, 2, 1.6, 0.0)
+    return Candidate(Guess(moved(east_m), 0, 0, 30.0), found, moved(east_m), score, 0.5, 2, 1.6, 0.0, cells)
 
 
 def test_two_walls_that_agree_beat_a_better_one_that_stands_alone() -> None:
@@ -41,7 +41,7 @@ def test_two_guesses_of_one_wall_are_one_witness() -> None:
 
 
 def test_a_good_answer_is_believed_and_states_its_margin() -> None:
-    found = judge_ground([candidate(60), candidate(58, east_m=1.0), candidate(30, east_m=50)], 40, PROBES)
+    found = judge_ground([candidate(60), candidate(58, east_m=1.0), candidate(30, east_m=50)], PROBES)
     assert found.registered
     # The answer beside the best one is the same answer.
     assert found.diagnostics["second_score"] == 30
@@ -49,19 +49,19 @@ def test_a_good_answer_is_believed_and_states_its_margin() -> None:
 
 
 @pytest.mark.parametrize(
-    ("candidates", "cells", "word"),
+    ("candidates", "word"),
     [
-        ([], 0, "no wall"),
-        ([candidate(20)], 40, "chance"),
-        ([candidate(50), candidate(45, east_m=60)], 40, "nearly as good"),
-        ([candidate(60)], 3, "places only"),
-        ([replace(candidate(60), height_m=9.0)], 40, "9.0 m above"),
-        ([replace(candidate(60), blocked=0.9)], 40, "90%"),
-        ([replace(candidate(60), registration=Registration(False, "open", None))], 40, "open"),
+        ([], "no wall"),
+        ([candidate(20)], "chance"),
+        ([candidate(50), candidate(45, east_m=60)], "nearly as good"),
+        ([candidate(60, cells=3)], "places only"),
+        ([replace(candidate(60), height_m=9.0)], "9.0 m above"),
+        ([replace(candidate(60), blocked=0.9)], "90%"),
+        ([replace(candidate(60), registration=Registration(False, "open", None))], "open"),
     ],
 )
-def test_doubtful_answers_are_refused_with_their_reason(candidates: list[Candidate], cells: int, word: str) -> None:
-    found = judge_ground(candidates, cells, PROBES)
+def test_doubtful_answers_are_refused_with_their_reason(candidates: list[Candidate], word: str) -> None:
+    found = judge_ground(candidates, PROBES)
     assert not found.registered
     assert word in found.reason
 
@@ -70,11 +70,13 @@ def test_few_inliers_and_tilt_are_refused() -> None:
     best = candidate(60)
     few = replace(best, registration=replace(best.registration, n_inliers=10))
     tilted = replace(best, registration=replace(best.registration, tilt_deg=12.0))
-    assert "matches agree" in judge_ground([few], 40, PROBES).reason
-    assert "12.0 degrees" in judge_ground([tilted], 40, PROBES, JudgeOptions(max_tilt_deg=5.0)).reason
+    assert "matches agree" in judge_ground([few], PROBES).reason
+    assert "12.0 degrees" in judge_ground([tilted], PROBES, JudgeOptions(max_tilt_deg=5.0)).reason
 
 
 def test_neighbouring_matches_are_one_cell() -> None:
+    plan = np.array([[0.1, 0.1], [9.0, 9.0], [10.1, 0.1], [-0.1, 0.1]])
+    assert independent_cells(plan, 10.0) == 3
     xyz = np.array([[0.1, 0.1, 0.1], [0.2, 0.3, 0.4], [0.1, 0.1, 5.0]])
     assert independent_cells(xyz, 2.0) == 2
     assert independent_cells(np.zeros((0, 3)), 2.0) == 0

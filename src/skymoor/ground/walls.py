@@ -20,37 +20,24 @@ from skymoor.facade import (
     FacadeOptions,
     Relief,
     WallOptions,
-    check_sight,
-    counterparts,
     facade_of,
     find_walls,
     relief_of,
-    sight_of,
-    similarity_between,
     surface_of,
 )
 from skymoor.geometry.similarity import Similarity
-from skymoor.ground.matches import photo_matches, wall_matches
 from skymoor.match import (
     CyclicOptions,
     DenseMatcher,
     FacadeSearchOptions,
     StructuralMatcher,
-    agreement,
-    search_shifts,
 )
 from skymoor.register import (
-    Candidate,
-    Guess,
     JudgeOptions,
     PoolOptions,
     RegisterOptions,
-    independent_cells,
-    judge_ground,
-    pool_guesses,
-    register,
 )
-from skymoor.types import Array, DepthMap, Matches3D, Progress, Registration, no_progress
+from skymoor.types import DepthMap, Progress, no_progress
 
 
 @dataclass(frozen=True)
@@ -67,6 +54,9 @@ class GroundOptions:
         max_angle_deg, max_gap_m: a ground wall and an airborne wall this close are matched densely.
         finalists: answers that are refined with all that the photos show.
         rounds: of that refinement, each from where the last one ended.
+        polish_trials: places near each of them that are then tried as a whole.
+        polish_steps_m, polish_heading_deg, polish_scale: how far apart those are at first, east, north and up, in
+            heading, and in the logarithm of the scale.
         walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register, counterparts, judge: of the
             steps.
     """
@@ -81,6 +71,10 @@ class GroundOptions:
     max_gap_m: float = 1.5
     finalists: int = 4
     rounds: int = 2
+    polish_trials: int = 100
+    polish_steps_m: tuple[float, float, float] = (0.4, 0.4, 0.3)
+    polish_heading_deg: float = 0.6
+    polish_scale: float = 0.01
     walls: WallOptions = field(default_factory=WallOptions)
     airborne_facades: FacadeOptions = field(default_factory=FacadeOptions)
     ground_facades: FacadeOptions = field(default_factory=lambda: FacadeOptions(margin_m=4.0, guess_margin_m=4.0))
@@ -124,54 +118,6 @@ def airborne_walls(
     return AirborneWalls(tuple(facades), relief_of(surface))
 
 
-def register_ground(
-    maps_level: Sequence[DepthMap],
-    airborne: AirborneWalls,
-    options: GroundOptions | None = None,
-    *,
-    rng: np.random.Generator,
-    progress: Progress = no_progress,
-) -> Registration:
-    """Where a levelled ground component stands, or why that is not known.
-
-    Args:
-        maps_level: depth maps of its photos, z up; a unit has about as many metres as `min_scale` and `max_scale` say.
-        airborne: of `airborne_walls`.
-        options: see there.
-        rng: for walls and consensus; the same state gives the same answer.
-        progress: counts the walls that are searched, then the answers that are refined.
-
-    Returns:
-        the registration. Its diagnostics hold the evidence: "score" and "second_score" of the best answer and of the
-        best one elsewhere, "ncc", "walls_seen", "support" (walls that suggested the answer), "pooled_score" of these,
-        "height_m", "blocked", "cells", and how much was searched: "walls", "guesses", "answers".
-    """
-    options = options or GroundOptions()
-    # Sizes of walls are options in metres: a middling scale makes them so, nearly.
-    metric_from_level = Similarity(float(np.sqrt(options.min_scale * options.max_scale)), np.eye(3), np.zeros(3))
-    maps = [moved_map(depth_map, metric_from_level) for depth_map in maps_level]
-    walls = find_walls(surface_of(maps, stride=2), options.walls, rng=rng)
-    facades = [facade_of(wall, maps, options.ground_pixel_m, options.ground_facades) for wall in walls]
-    work = _Work(maps, facades, airborne, options, rng)
-    guesses = work.guesses(metric_from_level.scale, progress)
-    answers = pool_guesses(guesses, work.probes, options.pool)
-    candidates = []
-    for done, answer in enumerate(answers):
-        candidates.append(work.refined(answer))
-        progress(done + 1, len(answers))
-    candidates = sorted(candidates, key=lambda candidate: -candidate.score)
-    finals = [work.finished(candidate) for candidate in candidates[: options.finalists]]
-    candidates = sorted(finals + candidates[options.finalists :], key=lambda candidate: -candidate.score)
-    found = judge_ground(candidates, work.inlier_cells(candidates), work.probes, options.judge)
-    counts = {
-        "walls": float(min(len(facades), options.searched_walls)),
-        "guesses": float(len(guesses)),
-        "answers": float(len(answers)),
-    }
-    enu_from_level = None if found.enu_from_level is None else found.enu_from_level @ metric_from_level
-    return replace(found, enu_from_level=enu_from_level, diagnostics={**found.diagnostics, **counts})
-
-
 def moved_map(depth_map: DepthMap, target_from_source: Similarity) -> DepthMap:
     """A depth map in another frame; depths and their uncertainty take the unit of that frame."""
     scale = np.float32(target_from_source.scale)
@@ -181,102 +127,3 @@ def moved_map(depth_map: DepthMap, target_from_source: Similarity) -> DepthMap:
         depth=depth_map.depth * scale,
         sigma=depth_map.sigma * scale,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Work:
-    """One ground component, in metres nearly, against one airborne one."""
-
-    maps: Sequence[DepthMap]
-    facades: Sequence[Facade]
-    airborne: AirborneWalls
-    options: GroundOptions
-    rng: np.random.Generator
-
-    @property
-    def searched(self) -> Sequence[Facade]:
-        return self.facades[: self.options.searched_walls]
-
-    @property
-    def probes(self) -> Array:
-        """Cameras and corners of walls (n, 3): they say how far two answers are apart."""
-        cameras = np.array([depth_map.camera.centre for depth_map in self.maps]).reshape(-1, 3)
-        return np.concatenate([cameras, *(facade.wall.corners for facade in self.searched)])
-
-    def guesses(self, unit_m: float, progress: Progress) -> list[Guess]:
-        """Where single walls would put the model, without those that put it into the air or into buildings."""
-        options, others = self.options, self.airborne.facades
-        ratio = options.ground_pixel_m / options.pixel_m / unit_m
-        shifts = search_shifts(
-            [facade.raster for facade in self.searched],
-            [facade.raster for facade in others],
-            min_scale=options.min_scale * ratio,
-            max_scale=options.max_scale * ratio,
-            options=options.search,
-            progress=progress,
-        )
-        sight = sight_of(self.maps, rays=24, rng=self.rng)
-        found = []
-        for shift in shifts[: options.pool.screened]:
-            placed = similarity_between(self.searched[shift.a], others[shift.b], shift.matrix)
-            check = check_sight(sight, placed, self.airborne.relief)
-            stands = options.judge.min_height_m <= check.height_m <= options.judge.max_height_m
-            if stands and check.outside <= 0.5 and check.blocked <= options.max_blocked:
-                found.append(Guess(placed, shift.a, shift.b, shift.score))
-        return found
-
-    def refined(self, answer: Guess) -> Candidate:
-        """The answer, or what the dense matches of its walls make of it if all photos agree better with that."""
-        nothing = Registration(registered=False, reason="no dense matches", enu_from_level=None)
-        start = self._candidate(answer, nothing, answer.enu_from_level)
-        return max((start, self._round(start, all_photos=False)), key=lambda candidate: candidate.score)
-
-    def finished(self, candidate: Candidate) -> Candidate:
-        """The best of some rounds of dense matches that all photos take part in."""
-        best = current = candidate
-        for _ in range(self.options.rounds):
-            current = self._round(current, all_photos=True)
-            if not current.registration.registered:
-                break
-            if current.score > best.score or not best.registration.registered:
-                best = current
-        return best
-
-    def inlier_cells(self, candidates: Sequence[Candidate]) -> int:
-        """Places in which matches agree with the best candidate."""
-        if not candidates or candidates[0].registration.inliers is None:
-            return 0
-        matches = self._matches(candidates[0].enu_from_level, all_photos=True)
-        gaps = candidates[0].enu_from_level.apply(matches.xyz_level) - matches.xyz_enu
-        near = np.linalg.norm(gaps, axis=1) <= self.options.register.inlier_m
-        return independent_cells(matches.xyz_enu[near], self.options.judge.cell_m)
-
-    def _round(self, candidate: Candidate, *, all_photos: bool) -> Candidate:
-        matches = self._matches(candidate.enu_from_level, all_photos=all_photos)
-        found = register(matches, self.options.pixel_m, self.options.register, rng=self.rng)
-        placed = candidate.enu_from_level if found.enu_from_level is None else found.enu_from_level
-        return self._candidate(candidate.answer, found, placed)
-
-    def _matches(self, placed: Similarity, *, all_photos: bool) -> Matches3D:
-        options = self.options
-        found = wall_matches(
-            self.facades,
-            self.airborne.facades,
-            placed,
-            options.dense,
-            options.cyclic,
-            max_angle_deg=options.max_angle_deg,
-            max_gap_m=options.max_gap_m,
-            rng=self.rng,
-        )
-        if not all_photos:
-            return found
-        pairs = counterparts(self.airborne.facades, self.airborne.relief, self.maps, placed, options.counterparts)
-        return Matches3D.joined([found, photo_matches(pairs, placed, options.dense, options.cyclic, rng=self.rng)])
-
-    def _candidate(self, answer: Guess, found: Registration, placed: Similarity) -> Candidate:
-        relief = self.airborne.relief
-        pairs = counterparts(self.airborne.facades, relief, self.maps, placed, self.options.counterparts)
-        ncc, score = agreement([(pair.near, pair.far) for pair in pairs], self.options.search)
-        check = check_sight(sight_of(self.maps, rng=self.rng), placed, relief)
-        return Candidate(answer, found, placed, score, ncc, len(pairs), check.height_m, check.blocked)

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a model is on Earth, how well that is known, and whether to believe it."""
 
-from skymoor.register.airborne import RegisterOptions, camera_covariances, register
+from skymoor.register.airborne import RegisterOptions, camera_covariances, independent_cells, register, restated
 from skymoor.register.ground import (
     Candidate,
     Guess,
     JudgeOptions,
     PoolOptions,
-    independent_cells,
     judge_ground,
     pool_guesses,
 )
@@ -30,4 +29,5 @@ __all__ = [
     "judge_ground",
     "pool_guesses",
     "register",
+    "restated",
 ]

@@ -7,13 +7,14 @@ how far that tilts the model is a sign of how right it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skymoor.errors import DegenerateGeometry, TooFewMatches
 from skymoor.geometry.adjust import gauge_centre, point_covariance, refine_similarity, tilt_deg
 from skymoor.geometry.ransac import ransac_similarity
+from skymoor.geometry.similarity import Similarity
 from skymoor.types import Array, Calibration, Camera, Matches3D, Reference, Registration
 
 VERTICAL_FLOOR_M, HORIZONTAL_FLOOR_M = 0.1, 0.05
@@ -64,30 +65,38 @@ def register(
         )
     except (TooFewMatches, DegenerateGeometry) as error:
         return Registration(registered=False, reason=f"no transform: {error}", enu_from_level=None, n_matches=n)
-    residuals = transform.apply(matches.xyz_level) - matches.xyz_enu
-    inliers = np.linalg.norm(residuals, axis=1) <= inlier_m
-    cells = independent_places(matches.xyz_enu[inliers], options.correlation_m)
+    plain = Registration(registered=True, reason="", enu_from_level=transform, tilt_deg=tilt_deg(transform))
+    found = restated(plain, transform, matches, inlier_m)
+    cells = independent_cells(matches.xyz_enu[found.inliers, :2], options.correlation_m)
     # Windows of neighbouring matches overlap: five thousand matches are not five thousand measurements.
     repeats = max(1.0, len(source) / max(1, cells))
-    return Registration(
-        registered=True,
-        reason="",
-        enu_from_level=transform,
-        n_matches=n,
-        n_inliers=int(inliers.sum()),
-        tilt_deg=tilt_deg(transform),
-        rmse_m=float(np.sqrt((residuals[inliers] ** 2).sum(axis=1).mean())) if inliers.any() else float("nan"),
+    return replace(
+        found,
         covariance=covariance * repeats,
         centroid_enu=gauge_centre(transform, source, weights),
-        inliers=inliers,
-        residuals_m=residuals,
         diagnostics={"cells": float(cells)},
     )
 
 
-def independent_places(xyz_enu: Array, cell_m: float) -> int:
-    """How many squares of `cell_m` in plan hold at least one of the points (n, 3)."""
-    return len(np.unique(np.floor(xyz_enu[:, :2] / cell_m).astype(np.int64), axis=0)) if len(xyz_enu) else 0
+def restated(found: Registration, enu_from_level: Similarity, matches: Matches3D, inlier_m: float) -> Registration:
+    """The registration with a transform from elsewhere, and with what the matches say of that one."""
+    residuals = enu_from_level.apply(matches.xyz_level) - matches.xyz_enu
+    inliers = np.linalg.norm(residuals, axis=1) <= inlier_m
+    near = residuals[inliers]
+    return replace(
+        found,
+        enu_from_level=enu_from_level,
+        n_matches=len(matches),
+        n_inliers=len(near),
+        rmse_m=float(np.sqrt((near**2).sum(axis=1).mean())) if len(near) else float("nan"),
+        inliers=inliers,
+        residuals_m=residuals,
+    )
+
+
+def independent_cells(xyz: Array, cell_m: float) -> int:
+    """How many cells of `cell_m` hold at least one of the points (n, 3), or of their places in plan (n, 2)."""
+    return len(np.unique(np.floor(xyz / cell_m).astype(np.int64), axis=0)) if len(xyz) else 0
 
 
 def camera_covariances(

@@ -78,7 +78,8 @@ class Candidate:
     """An answer after refinement, with what the photos say of it.
 
     `score` and `ncc` are the agreement of all photos with `walls_seen` walls of the airborne model; `height_m` is how
-    high the cameras stand above what is seen from above (median), `blocked` the share of viewing rays that cross it.
+    high the cameras stand above what is seen from above (median), `blocked` the share of viewing rays that cross it;
+    `cells` counts the independent cubes that hold inliers, see `independent_cells`.
     """
 
     answer: Guess
@@ -89,6 +90,7 @@ class Candidate:
     walls_seen: int
     height_m: float
     blocked: float
+    cells: int
 
 
 @dataclass(frozen=True)
@@ -119,14 +121,11 @@ class JudgeOptions:
     max_blocked: float = 0.6
 
 
-def judge_ground(
-    candidates: Sequence[Candidate], inlier_cells: int, probes: Array, options: JudgeOptions | None = None
-) -> Registration:
+def judge_ground(candidates: Sequence[Candidate], probes: Array, options: JudgeOptions | None = None) -> Registration:
     """The registration of the best candidate, or the same with `registered` False and the first reason against it.
 
     Args:
         candidates: refined answers, the best one first, some of them of the same place.
-        inlier_cells: independent cubes that hold inliers of the best one, as `independent_cells` counts.
         probes: points (n, 3) of the model; see `pool_guesses`.
         options: thresholds.
     """
@@ -149,15 +148,15 @@ def judge_ground(
         "pooled_score": best.answer.score,
         "height_m": best.height_m,
         "blocked": best.blocked,
-        "cells": float(inlier_cells),
+        "cells": float(best.cells),
     }
-    for refused, reason in _reasons(best, second, inlier_cells, options):
+    for refused, reason in _reasons(best, second, options):
         if refused:
             return replace(found, registered=False, reason=reason, diagnostics=diagnostics)
     return replace(found, diagnostics=diagnostics)
 
 
-def _reasons(best: Candidate, second: float, cells: int, options: JudgeOptions) -> list[tuple[bool, str]]:
+def _reasons(best: Candidate, second: float, options: JudgeOptions) -> list[tuple[bool, str]]:
     found = best.registration
     return [
         (not found.registered, found.reason),
@@ -173,7 +172,7 @@ def _reasons(best: Candidate, second: float, cells: int, options: JudgeOptions) 
             found.inlier_ratio < options.min_inlier_ratio,
             f"only {found.inlier_ratio:.0%} of the matches agree, {options.min_inlier_ratio:.0%} are needed",
         ),
-        (cells < options.min_cells, f"matches agree in {cells} places only, {options.min_cells} are needed"),
+        (best.cells < options.min_cells, f"matches agree in {best.cells} places only, {options.min_cells} are needed"),
         (
             found.tilt_deg > options.max_tilt_deg,
             f"the level model would have to tilt by {found.tilt_deg:.1f} degrees",
@@ -184,11 +183,6 @@ def _reasons(best: Candidate, second: float, cells: int, options: JudgeOptions) 
         ),
         (best.blocked > options.max_blocked, f"{best.blocked:.0%} of the viewing rays would cross buildings"),
     ]
-
-
-def independent_cells(xyz: Array, cell_m: float) -> int:
-    """How many cubes of `cell_m` hold at least one of the points (n, 3)."""
-    return len(np.unique(np.floor(xyz / cell_m).astype(np.int64), axis=0)) if len(xyz) else 0
 
 
 def _apart(a: Similarity, b: Similarity, probes: Array) -> float:

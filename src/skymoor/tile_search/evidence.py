@@ -13,7 +13,7 @@ from skymoor.errors import DegenerateGeometry, TooFewMatches
 from skymoor.geometry.ransac import ransac_similarity
 from skymoor.geometry.similarity import Similarity
 from skymoor.match import CyclicOptions, DenseMatcher, cyclic_matches
-from skymoor.register import RegisterOptions, independent_cells, register
+from skymoor.register import RegisterOptions, independent_cells, register, restated
 from skymoor.register.icp import IcpOptions, IcpResult, refine_icp
 from skymoor.tile_search.pictures import AirborneTiles, GroundPhoto, PictureOptions, lift_pair
 from skymoor.types import Array, Mask, Matches3D, Registration
@@ -211,21 +211,9 @@ class Evidence:
         """The registration with what the matches of each photo's best tiles say of it."""
         o, placed = self.options, found.enu_from_level
         assert placed is not None
-        residuals = placed.apply(pool.matches.xyz_level) - pool.matches.xyz_enu
-        inliers = np.linalg.norm(residuals, axis=1) <= o.inlier_m
-        near = residuals[inliers]
-        found = replace(
-            found,
-            n_matches=len(inliers),
-            n_inliers=int(inliers.sum()),
-            rmse_m=float(np.sqrt((near**2).sum(axis=1).mean())) if len(near) else float("nan"),
-            inliers=inliers,
-            residuals_m=residuals,
-            diagnostics={
-                **counts,
-                "cells": float(independent_cells(pool.matches.xyz_enu[inliers], o.cell_m)),
-            },
-        )
+        found = restated(found, placed, pool.matches, o.inlier_m)
+        cells = independent_cells(pool.matches.xyz_enu[found.inliers], o.cell_m)
+        found = replace(found, diagnostics={**counts, "cells": float(cells)})
         reason = next((reason for refused, reason in _reasons(found, o) if refused), "")
         return replace(found, registered=not reason, reason=reason)
 
