@@ -71,3 +71,30 @@ class Demo:
     """Folder for the site and the results; a second run shows the results at once."""
     quiet: bool = False
     """Plain lines in place of progress bars."""
+
+
+@dataclass(frozen=True)
+class WeightsList:
+    """Show the pretrained weights that are known, their licences, and which of them are here."""
+
+
+@dataclass(frozen=True)
+class WeightsFetch:
+    """Download pretrained weights and check them."""
+
+    name: Annotated[str, tyro.conf.Positional]
+    """As in the list."""
+    to: Path | None = None
+    """Folder of all weights: $SKYMOOR_WEIGHTS or the user's folder of data unless said."""
+    quiet: bool = False
+    """Plain lines in place of progress bars."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Pretrained weights of optional engines; nothing is downloaded unless it is asked for here."""
+
+    action: (
+        Annotated[WeightsList, tyro.conf.subcommand("list", prefix_name=False)]
+        | Annotated[WeightsFetch, tyro.conf.subcommand("fetch", prefix_name=False)]
+    )

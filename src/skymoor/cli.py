@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from skymoor import __version__
-from skymoor.arguments import Demo, Evaluate, Run, Simulate
+from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights
 from skymoor.errors import InputError, SkymoorError
 
 EXIT_REGISTERED, EXIT_ERROR, EXIT_USAGE, EXIT_NOT_REGISTERED = 0, 1, 2, 3
@@ -27,7 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             Annotated[Run, tyro.conf.subcommand("run")]
             | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
             | Annotated[Simulate, tyro.conf.subcommand("simulate")]
-            | Annotated[Demo, tyro.conf.subcommand("demo")],
+            | Annotated[Demo, tyro.conf.subcommand("demo")]
+            | tyro.conf.OmitArgPrefixes[Annotated[Weights, tyro.conf.subcommand("weights")]],
             args=arguments,
             prog="skymoor",
             description="skymoor moors floating 3D models to the Earth.",
@@ -38,6 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             commands.evaluate(chosen)
         elif isinstance(chosen, Simulate):
             commands.simulate(chosen)
+        elif isinstance(chosen, Weights):
+            commands.weights(chosen)
         else:
             done = commands.run(chosen) if isinstance(chosen, Run) else commands.demo(chosen)
             return EXIT_REGISTERED if done else EXIT_NOT_REGISTERED

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
 import skymoor.evaluate
-from skymoor.arguments import Demo, Evaluate, Run, Simulate
+from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights, WeightsFetch
 from skymoor.config import Site, load_site, parse_option, site_from_arguments, with_options
 from skymoor.errors import InputError
 from skymoor.geo.frame import EnuFrame
@@ -25,6 +26,7 @@ from skymoor.simulate import SiteOptions
 from skymoor.simulate.site import write_site
 from skymoor.simulate.world import World
 from skymoor.store import Store, has_metadata, read_cameras_csv, read_truth_csv
+from skymoor.weights import KNOWN, fetch, weights_folder
 
 # Small enough for a few minutes on two cores, large enough for every step to have its work.
 DEMO = SiteOptions(seed=1, radius_m=55.0, airborne=26, groups=0, security=0, photo_width=640, reference_width_m=220.0)
@@ -101,6 +103,43 @@ def demo(command: Demo) -> bool:
             f"look at {result / 'renders'} and {result / 'matches'}; all figures are in {result / 'summary.json'}"
         )
     return registered
+
+
+def weights(command: Weights) -> None:
+    """`skymoor weights list` and `skymoor weights fetch`."""
+    if not isinstance(command.action, WeightsFetch):
+        with Screen(plain=True) as screen:
+            screen.show(_weights_table(weights_folder()))
+        return
+    wanted = command.action
+    with Screen(plain=wanted.quiet) as screen:
+        for file in fetch(wanted.name, wanted.to or weights_folder(), lambda name: screen.track(f"{name}, MB")):
+            digest = "" if file.sha256 is None else f", sha256 {file.sha256}"
+            screen.note(f"{file.path}: {'was here' if file.was_there else 'fetched'}{digest}")
+        if wanted.to is not None and wanted.to != weights_folder():
+            screen.note(f"engines find it there if SKYMOOR_WEIGHTS={wanted.to}")
+
+
+def _weights_table(folder: Path) -> Table:
+    """One line for each engine's weights."""
+    table = Table(title=f"pretrained weights; they lie in {folder}")
+    table.add_column("name", no_wrap=True)
+    for heading in ("for", "MB", "here", "licence: code", "weights", "sha256", "note"):
+        table.add_column(heading, overflow="fold")
+    for one in KNOWN:
+        there = [(folder / one.name / file.file).exists() for file in one.files]
+        digests = [file.sha256 for file in one.files if not file.folder]
+        table.add_row(
+            one.name,
+            one.what_for,
+            "?" if one.size_mb is None else f"{one.size_mb:.4g}",
+            "yes" if all(there) else "part" if any(there) else "no",
+            one.code_licence,
+            one.weights_licence,
+            "-" if not digests else "known: checked" if all(digests) else "not known: printed after the fetch",
+            one.note,
+        )
+    return table
 
 
 def _site(command: Run) -> Site:

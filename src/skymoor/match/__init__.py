@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two pictures of one place, from different worlds, to pairs of pixels."""
 
+from skymoor.match._aliked import AlikedMatcher
+from skymoor.match._loftr import LoftrMatcher
+from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
+from skymoor.match._romav2 import RomaV2Matcher
 from skymoor.match.align import lay, match_placed
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
 from skymoor.match.facade import FacadeSearchOptions, Shift, agreement, search_shifts
@@ -9,13 +13,18 @@ from skymoor.match.search import Placement, SearchOptions, search_placements
 from skymoor.match.structural import StructuralMatcher
 
 __all__ = [
+    "AlikedMatcher",
     "CyclicOptions",
     "DenseMatcher",
     "FacadeSearchOptions",
+    "LoftrMatcher",
     "Placement",
+    "RomaMatcher",
+    "RomaV2Matcher",
     "SearchOptions",
     "Shift",
     "StructuralMatcher",
+    "TinyRomaMatcher",
     "agreement",
     "cyclic_matches",
     "lay",

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the learned matchers share: pictures as they want them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from skymoor.types import Array, Image, Raster
+
+if TYPE_CHECKING:
+    import torch
+
+
+def fitted(rgb: Image, side_px: int, multiple: int) -> tuple[Image, Array]:
+    """A picture stretched so that its sides are multiples and at most about `side_px`; never enlarged by more.
+
+    Returns:
+        the picture (h, w, 3), and by how much (2,) its pixels are multiplied to be those of the given one.
+    """
+    h, w = rgb.shape[:2]
+    ratio = min(1.0, side_px / max(h, w))
+    size = tuple(max(multiple, multiple * round(side * ratio / multiple)) for side in (w, h))
+    if size == (w, h):
+        return rgb, np.ones(2)
+    shrinks = size[0] < w or size[1] < h
+    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    return np.asarray(small, np.uint8), np.array([w, h]) / size
+
+
+def as_tensor(picture: Image, device: str) -> torch.Tensor:
+    """(1, channels, h, w) in [0, 1] of a picture (h, w, channels) or (h, w)."""
+    import torch
+
+    channels = picture[..., None] if picture.ndim == 2 else picture
+    return torch.from_numpy(np.ascontiguousarray(channels)).permute(2, 0, 1)[None].to(device).float() / 255
+
+
+def inner(raster: Raster, border_px: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """The mask without what lies within `border_px` of its edge, where what a network sees is the edge.
+
+    The edge of the picture itself is no edge of the mask.
+    """
+    side = 2 * border_px + 1
+    return np.asarray(cv2.erode(raster.mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0)

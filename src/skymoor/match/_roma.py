@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RoMa, the paper's matcher, and its small sister, through the library romatch.
+
+Edstedt et al., RoMa: Robust Dense Feature Matching, CVPR 2024. The coarse features are those of DINOv2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from skymoor.errors import InputError
+from skymoor.match._engines import as_tensor, fitted
+from skymoor.match.flow import EngineFlow, warp_from_flows
+from skymoor.match.protocol import DenseMatcher
+from skymoor.optional import require, torch_device
+from skymoor.types import Raster, Warp
+from skymoor.weights import another_network, find, load_into, load_state_dict
+
+if TYPE_CHECKING:
+    import torch
+
+GRID_PX = 56  # DINOv2 sees patches of 14, the finer network halves three times
+TINY_PX = 32
+
+
+@dataclass(frozen=True)
+class RomaMatcher:
+    """RoMa, outdoors: a flow and its certainty for every pixel, both ways. A GPU is wanted.
+
+    Attributes:
+        weights, dinov2: paths of roma_outdoor.pth and dinov2_vitl14_pretrain.pth; empty for where
+            `skymoor weights fetch roma` puts them.
+        device: "auto", "cpu" or "cuda"; half precision on CUDA only.
+        coarse_px: both pictures are matched as squares of this side first.
+        upsample_px: and refined as squares of this side; 0 leaves that out, for a third of the time.
+    """
+
+    weights: str = ""
+    dinov2: str = ""
+    device: str = "auto"
+    coarse_px: int = 560
+    upsample_px: int = 864
+
+    def __post_init__(self) -> None:
+        if self.coarse_px < GRID_PX or self.coarse_px % GRID_PX:
+            raise InputError(f"coarse_px = {self.coarse_px}: RoMa takes multiples of {GRID_PX}, such as 560")
+        if self.upsample_px < 0 or self.upsample_px % 8:
+            raise InputError(f"upsample_px = {self.upsample_px}: RoMa takes multiples of 8, such as 864, or 0")
+
+    def __call__(self, a: Raster, b: Raster) -> Warp:
+        """Match both ways; see `DenseMatcher`.
+
+        Raises:
+            BackendUnavailable: romatch or the weights are missing.
+            InputError: the weights are not RoMa's.
+        """
+        device = torch_device(self.device)
+        require("romatch", "roma")
+        weights = find("roma", "roma_outdoor.pth", self.weights)
+        dinov2 = find("roma", "dinov2_vitl14_pretrain.pth", self.dinov2)
+        network = _roma(weights, dinov2, device, self.coarse_px, self.upsample_px)
+        from PIL import Image
+
+        warp, certainty = network.match(Image.fromarray(a.rgb), Image.fromarray(b.rgb), device=device)
+        width = warp.shape[2] // 2
+        there = EngineFlow(_numpy(warp[0, :, :width, 2:]), _numpy(certainty[0, :, :width]))
+        back = EngineFlow(_numpy(warp[0, :, width:, :2]), _numpy(certainty[0, :, width:]))
+        return warp_from_flows(a, b, there, back)
+
+
+@dataclass(frozen=True)
+class TinyRomaMatcher:
+    """Tiny RoMa, outdoors: RoMa's flow from the features of XFeat (Potje et al., CVPR 2024), in seconds on a CPU.
+
+    Attributes:
+        weights: path of tiny_roma_v1_outdoor.pth; empty for where `skymoor weights fetch tiny-roma` puts it.
+        device: "auto", "cpu" or "cuda".
+        side_px: pictures are matched with long sides of at most about so many pixels; memory grows with its fourth
+            power.
+    """
+
+    weights: str = ""
+    device: str = "auto"
+    side_px: int = 640
+
+    def __post_init__(self) -> None:
+        if self.side_px < 2 * TINY_PX:
+            raise InputError(f"side_px = {self.side_px}: tiny RoMa needs {2 * TINY_PX} at least")
+
+    def __call__(self, a: Raster, b: Raster) -> Warp:
+        """Match both ways; see `DenseMatcher`.
+
+        Raises:
+            BackendUnavailable: romatch, kornia or the weights are missing.
+            InputError: the weights are not tiny RoMa's.
+        """
+        device = torch_device(self.device)
+        require("romatch", "roma")
+        network = _tiny_roma(find("tiny-roma", "tiny_roma_v1_outdoor.pth", self.weights), device)
+        pictures = [as_tensor(fitted(raster.rgb, self.side_px, TINY_PX)[0], device) for raster in (a, b)]
+        # The network answers one way only.
+        flows = []
+        for one, other in (pictures, pictures[::-1]):
+            warp, certainty = network.match(one, other)
+            flows.append(EngineFlow(_numpy(warp[0, ..., 2:]), _numpy(certainty[0])))
+        return warp_from_flows(a, b, *flows)
+
+
+_: tuple[type[DenseMatcher], ...] = (RomaMatcher, TinyRomaMatcher)
+
+
+@lru_cache(maxsize=1)
+def _roma(weights: Path, dinov2: Path, device: str, coarse_px: int, upsample_px: int) -> Any:
+    """The network, once per process and configuration: it is 1.6 GB."""
+    tensors, backbone = load_state_dict(weights), load_state_dict(dinov2)
+    romatch = _silent("romatch")
+
+    def build() -> Any:
+        return romatch.roma_outdoor(
+            device=device,
+            weights=tensors,
+            dinov2_weights=backbone,
+            coarse_res=coarse_px,
+            upsample_res=upsample_px or None,
+            upsample_preds=upsample_px > 0,
+            symmetric=True,
+            # A kernel for CUDA; what PyTorch does in its place is the same.
+            use_custom_corr=device == "cuda" and find_spec("local_corr") is not None,
+        )
+
+    return _built(build, {"DinoVisionTransformer": dinov2, "": weights})
+
+
+@lru_cache(maxsize=1)
+def _tiny_roma(weights: Path, device: str) -> Any:
+    romatch = _silent("romatch")
+    features = require("kornia.feature.xfeat", "roma").XFeatModel()
+    network = romatch.models.model_zoo.tiny_roma_v1_model(weights=None, xfeat=features)
+    load_into(network, weights)
+    return network.to(device).eval()
+
+
+def _silent(module: str) -> Any:
+    """The library without its log lines: a stage prints nothing."""
+    library = require(module, "roma")
+    require("loguru", "roma").logger.disable(module)
+    return library
+
+
+def _built(build: Callable[[], Any], files: dict[str, Path]) -> Any:
+    """What `build` returns; if weights do not fit, the file of the network that says so is named."""
+    try:
+        return build()
+    except RuntimeError as error:
+        if "state_dict" not in str(error):
+            raise
+        path = next(path for network, path in files.items() if network in str(error))
+        raise another_network(path, error) from None
+
+
+def _numpy(values: torch.Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    return np.asarray(values.float().cpu().numpy(), np.float32)

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RoMa v2, opt-in: it stands on DINOv3, whose licence forbids some uses.
+
+Edstedt et al., RoMa v2: Harder Better Faster Denser Feature Matching, 2025.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import tempfile
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from skymoor.errors import BackendUnavailable, InputError
+from skymoor.match.flow import EngineFlow, warp_from_flows
+from skymoor.match.protocol import DenseMatcher
+from skymoor.optional import require
+from skymoor.types import Raster, Warp
+from skymoor.weights import another_network, find, load_state_dict
+
+DINOV3 = "facebookresearch_dinov3_adc254450203739c8149213a7a69d8d905b4fcfa"
+"""What the library calls its copy of DINOv3's code; the last part is the commit that it wants."""
+
+
+@dataclass(frozen=True)
+class RomaV2Matcher:
+    """RoMa v2: a flow and its overlap for every pixel, both ways. A GPU is wanted; the library takes it if it can.
+
+    Attributes:
+        accept_dinov3_licence: that you have read the DINOv3 licence (github.com/facebookresearch/dinov3, LICENSE.md)
+            and that your use is allowed: military uses and some others are not.
+        weights: path of romav2.0.1.pt; empty for where `skymoor weights fetch romav2` puts it.
+        dinov3: folder of DINOv3's code at the commit of `DINOV3`: the one with hubconf.py in it. Empty for the folder
+            dinov3 beside the weights.
+        setting: of the library: from "turbo" (320 pixels) to "precise" (1280); "satast" is meant for photos of the
+            Earth from orbit.
+    """
+
+    accept_dinov3_licence: bool = False
+    weights: str = ""
+    dinov3: str = ""
+    setting: Literal["turbo", "fast", "base", "precise", "satast"] = "fast"
+
+    def __call__(self, a: Raster, b: Raster) -> Warp:
+        """Match both ways; see `DenseMatcher`.
+
+        Raises:
+            BackendUnavailable: the licence is not accepted; or romav2, the weights or DINOv3's code are missing.
+            InputError: the weights are not RoMa v2's.
+        """
+        if not self.accept_dinov3_licence:
+            raise BackendUnavailable(
+                "RoMa v2 stands on DINOv3, whose licence forbids military and some other uses: "
+                "read it, and if your use is allowed say accept_dinov3_licence = true"
+            )
+        require("romav2", "romav2")
+        weights = find("romav2", "romav2.0.1.pt", self.weights)
+        network = _network(weights, _code(self.dinov3, weights), self.setting)
+        with warnings.catch_warnings():
+            # It asks for CUDA's half precision by name, and PyTorch says so where there is no CUDA.
+            warnings.filterwarnings("ignore", message="CUDA is not available", category=UserWarning)
+            found = network.match(a.rgb, b.rgb)
+        flows = (
+            EngineFlow(_numpy(found[f"warp_{way}"][0]), _numpy(found[f"overlap_{way}"][0, ..., 0]))
+            for way in ("AB", "BA")
+        )
+        return warp_from_flows(a, b, *flows)
+
+
+_: type[DenseMatcher] = RomaV2Matcher
+
+
+def _code(given: str, weights: Path) -> Path:
+    path = Path(given).expanduser() if given else weights.parent / "dinov3"
+    if (path / "hubconf.py").is_file():
+        return path
+    what = f"DINOv3's code at commit {DINOV3[-40:]} is not here (no hubconf.py)"
+    if given:
+        raise InputError(f"{path}: {what}; give its folder")
+    raise BackendUnavailable(f"{path}: {what}; get it from github.com/facebookresearch/dinov3 and unpack it there")
+
+
+@lru_cache(maxsize=1)
+def _network(weights: Path, dinov3: Path, setting: str) -> Any:
+    load_state_dict(weights)  # the library would say less clearly what is wrong with the file
+    romav2 = require("romav2", "romav2")
+    logging.getLogger("romav2").setLevel(logging.WARNING)  # a stage prints nothing
+    with _local_hub(weights, dinov3), contextlib.redirect_stderr(io.StringIO()):
+        try:
+            network = romav2.RoMaV2(romav2.RoMaV2.Cfg(setting=setting))
+        except RuntimeError as error:
+            if "state_dict" not in str(error):
+                raise
+            raise another_network(weights, error) from None
+    network.bidirectional = True
+    return network
+
+
+@contextlib.contextmanager
+def _local_hub(weights: Path, dinov3: Path) -> Iterator[None]:
+    """The library knows no paths: it asks PyTorch's hub, which finds both files in a folder that we make for it."""
+    import torch
+
+    before = torch.hub.get_dir()
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "checkpoints").mkdir()
+        (Path(folder) / "checkpoints/romav2.0.1.pt").symlink_to(weights.resolve())
+        (Path(folder) / DINOV3).symlink_to(dinov3.resolve(), target_is_directory=True)
+        torch.hub.set_dir(folder)
+        try:
+            yield
+        finally:
+            torch.hub.set_dir(before)
+
+
+def _numpy(values: Any) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    return np.asarray(values.float().cpu().numpy(), np.float32)
