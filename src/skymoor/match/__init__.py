@@ -3,7 +3,7 @@
 
 from skymoor.match.align import lay, match_placed
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
-from skymoor.match.facade import FacadeSearchOptions, Shift, agreement, search_shifts
+from skymoor.match.facade import Drift, FacadeSearchOptions, Shift, agreement, drift, search_shifts
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.search import Placement, SearchOptions, search_placements
 from skymoor.match.structural import StructuralMatcher
@@ -11,6 +11,7 @@ from skymoor.match.structural import StructuralMatcher
 __all__ = [
     "CyclicOptions",
     "DenseMatcher",
+    "Drift",
     "FacadeSearchOptions",
     "Placement",
     "SearchOptions",
@@ -18,6 +19,7 @@ __all__ = [
     "StructuralMatcher",
     "agreement",
     "cyclic_matches",
+    "drift",
     "lay",
     "match_placed",
     "search_placements",
