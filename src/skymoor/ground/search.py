@@ -238,7 +238,8 @@ class _Work:
     def _best_near(self, start: Similarity, size: float) -> Similarity:
         """The best place near one, by simplex search with first steps of `size` times those of the options."""
         options = self.options
-        centre = start.apply(np.array([depth_map.camera.centre for depth_map in self.maps])).mean(axis=0)
+        # About what is seen, so that heading and scale leave the walls where they are.
+        centre = start.apply(sight_of(self.maps, rng=self.rng).ends.reshape(-1, 3)).mean(axis=0)
         steps = size * np.array([*options.polish_steps_m, np.radians(options.polish_heading_deg), options.polish_scale])
 
         def place(x: Array) -> Similarity:
