@@ -85,6 +85,16 @@ def test_doubtful_answers_are_refused_with_their_reason(candidates: list[Candida
     assert word in found.reason
 
 
+def test_what_cannot_be_is_no_rival() -> None:
+    in_the_air = replace(candidate(70, east_m=80), height_m=7.0)
+    through_walls = replace(candidate(65, east_m=40), blocked=0.4)
+    found = judge_ground([in_the_air, through_walls, candidate(60)], PROBES)
+    assert found.registered
+    assert found.enu_from_level is not None
+    assert found.enu_from_level.translation[0] == 0
+    assert found.diagnostics["second_contrast"] == 0
+
+
 def test_few_inliers_and_tilt_are_refused() -> None:
     best = candidate(60)
     few = replace(best, registration=replace(best.registration, n_inliers=10))

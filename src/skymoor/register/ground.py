@@ -126,7 +126,7 @@ class JudgeOptions:
     """
 
     min_contrast: float = 11.0
-    min_margin: float = 1.4
+    min_margin: float = 1.5
     min_rivals: int = 2
     lone_contrast: float = 16.0
     apart_m: float = 5.0
@@ -151,9 +151,12 @@ def judge_ground(candidates: Sequence[Candidate], probes: Array, options: JudgeO
     if not candidates:
         reason = "no wall of the model fits any wall of the airborne model"
         return Registration(registered=False, reason=reason, enu_from_level=None)
-    best, found = candidates[0], candidates[0].registration
+    # What people cannot have done is neither an answer nor another one that is nearly as good.
+    possible = [c for c in candidates if _possible(c, options)] or list(candidates)
+    best, found = possible[0], possible[0].registration
     placed = best.enu_from_level
-    elsewhere = [c for c in candidates[1:] if _apart(placed, c.enu_from_level, probes) >= options.apart_m]
+    compared = [c for c in candidates if _apart(placed, c.enu_from_level, probes) >= options.apart_m]
+    elsewhere = [c for c in compared if c in possible]
     second = max((c.contrast for c in elsewhere), default=0.0)
     diagnostics = {
         **found.diagnostics,
@@ -169,7 +172,7 @@ def judge_ground(candidates: Sequence[Candidate], probes: Array, options: JudgeO
         "blocked": best.blocked,
         "cells": float(best.cells),
     }
-    needed = options.min_contrast if len(elsewhere) >= options.min_rivals else options.lone_contrast
+    needed = options.min_contrast if len(compared) >= options.min_rivals else options.lone_contrast
     for refused, reason in _reasons(best, second, needed, options):
         if refused:
             return replace(found, registered=False, reason=reason, diagnostics=diagnostics)
@@ -203,6 +206,12 @@ def _reasons(best: Candidate, second: float, needed: float, options: JudgeOption
         ),
         (best.blocked > options.max_blocked, f"{best.blocked:.0%} of the viewing rays would cross walls"),
     ]
+
+
+def _possible(candidate: Candidate, options: JudgeOptions) -> bool:
+    """Whether the cameras stand on the ground and look at what nothing hides."""
+    stands = options.min_height_m <= candidate.height_m <= options.max_height_m
+    return stands and candidate.blocked <= options.max_blocked
 
 
 def _apart(a: Similarity, b: Similarity, probes: Array) -> float:
