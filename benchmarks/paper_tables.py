@@ -98,7 +98,8 @@ def evidence(summary: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
     (found,) = [item for item in summary["sets"] if item["set"] == row["set"]]
     (component,) = [item for item in found["components"] if item["component"] == row["component"]]
     seconds = [s["seconds"] for s in summary["stages"] if s["name"] == f"{row['set']}-{row['component']}.search"]
-    told = {name: component["diagnostics"].get(name) for name in ("contrast", "second_contrast", "guesses", "walls_seen")}
+    names = ("contrast", "second_contrast", "guesses", "walls_seen")
+    told = {name: component["diagnostics"].get(name) for name in names}
     return {**told, "reason": component["reason"], "search_s": sum(seconds)}
 
 
