@@ -97,9 +97,10 @@ def evidence(summary: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
     """How sure a component's place was, by its own account, and why it was refused; and what finding it cost."""
     (found,) = [item for item in summary["sets"] if item["set"] == row["set"]]
     (component,) = [item for item in found["components"] if item["component"] == row["component"]]
-    seconds = [s["seconds"] for s in summary["stages"] if s["name"] == f"{row['set']}-{row['component']}.register"]
-    told = {name: component["diagnostics"].get(name) for name in ("score", "second_score", "guesses", "walls_seen")}
-    return {**told, "reason": component["reason"], "register_s": sum(seconds)}
+    seconds = [s["seconds"] for s in summary["stages"] if s["name"] == f"{row['set']}-{row['component']}.search"]
+    names = ("contrast", "second_contrast", "guesses", "walls_seen")
+    told = {name: component["diagnostics"].get(name) for name in names}
+    return {**told, "reason": component["reason"], "search_s": sum(seconds)}
 
 
 def split(site: Path, result: Path, row: dict[str, Any], truth: dict[str, Any]) -> dict[str, float | None]:
@@ -156,7 +157,7 @@ def print_airborne(rows: list[dict[str, Any]]) -> None:
 
 def print_ground(rows: list[dict[str, Any]]) -> None:
     headings = ("ground", "cameras", "status", "mean absolute", "own", "M-dist", "mean relative", "median relative")
-    headings = (*headings, "score, next", "s", "reason")
+    headings = (*headings, "contrast, next", "s", "reason")
     names = ("mean_absolute_m", "own_mean_absolute_m", "mahalanobis_of_mean", "mean_relative_m", "median_relative_m")
     table = []
     for preset, site in PAPER_SITE.items():
@@ -168,8 +169,8 @@ def print_ground(rows: list[dict[str, Any]]) -> None:
             if row.get("mean_absolute_m") is not None:
                 table[-1] += [f"{row[key]:.2f}" for key in names]
             table[-1] += [""] * (len(names) + 3 - len(table[-1]))
-            if row.get("score") is not None:
-                table[-1] += [f"{row['score']:.0f}, {row['second_score'] or 0:.0f}", f"{row['register_s']:.0f}"]
+            if row.get("contrast") is not None:
+                table[-1] += [f"{row['contrast']:.1f}, {row['second_contrast'] or 0:.1f}", f"{row['search_s']:.0f}"]
                 table[-1].append(row["reason"])
     print_table(headings, table)
 

@@ -81,13 +81,15 @@ def test_an_airborne_model_without_depth_is_an_error() -> None:
         airborne_walls(blind, rng=np.random.default_rng(0))
 
 
-def test_the_camera_that_was_moved_is_named(walls: AirborneWalls) -> None:
+@pytest.mark.parametrize("aside_m", [0.9, 1.8])
+def test_the_camera_that_was_moved_is_named(walls: AirborneWalls, aside_m: float) -> None:
     maps = walk_round(houses(SITE), HOUSE)
-    pose = maps[3].camera.cam_from_world
-    sideways = Similarity(1.0, pose.rotation, pose.translation + [0.9, 0.0, 0.0])
-    wrong = replace(maps[3], camera=Camera("wrong", maps[3].camera.intrinsics, sideways))
-    witnesses = hear_cameras([*maps[:3], wrong, *maps[4:]], walls, Similarity.identity(), rng=np.random.default_rng(0))
+    pose = maps[5].camera.cam_from_world
+    sideways = Similarity(1.0, pose.rotation, pose.translation + [aside_m, 0.0, 0.0])
+    wrong = replace(maps[5], camera=Camera("wrong", maps[5].camera.intrinsics, sideways))
+    witnesses = hear_cameras([*maps[:5], wrong, *maps[6:]], walls, Similarity.identity(), rng=np.random.default_rng(0))
     assert [w.image for w in witnesses if w.contradicts] == ["wrong"]
-    assert 0.8 < witnesses[3].offset_m < 1.6
+    assert 0.8 * aside_m < witnesses[5].offset_m < 1.5 * aside_m
     assert sum(w.heard for w in witnesses) >= 6
     assert max(w.offset_m for w in witnesses if w.heard and not w.contradicts) < 0.3
+    assert all(w.best_score < 1.1 * w.score for w in witnesses if w.heard and not w.contradicts)

@@ -38,7 +38,7 @@ def into_the_way() -> Similarity:
 def answers(*candidates: tuple[float, Similarity]) -> WallAnswers:
     found = [Registration(True, "", place, n_matches=200, n_inliers=150, tilt_deg=1.0) for _, place in candidates]
     ranked = [
-        Candidate(Guess(place, 0, 0, 30.0), registration, place, score, 0.5, 2, 1.6, 0.0, 40)
+        Candidate(Guess(place, 0, 0, 30.0), registration, place, score, 0.5, 2, 1.6, 0.0, 40, (8.0, 12.0))
         for registration, (score, place) in zip(found, candidates, strict=True)
     ]
     return WallAnswers(tuple(ranked), centres(walk_round(WORLD, 1)), {"guesses": 3.0}, JudgeOptions())
@@ -87,7 +87,7 @@ def test_what_contradicts_a_surer_component_is_out(first: list[DepthMap], second
     found = decide_jointly(["a", "b"], [sure, torn], [first, second])
     assert [r.registered for r in found] == [True, True]
     assert found[1].enu_from_level is HERE
-    assert found[1].diagnostics["second_score"] == 0
+    assert found[1].diagnostics["second_contrast"] == 0
     assert found[1].diagnostics["guesses"] == 3
     # The order in which they come does not matter.
     turned = decide_jointly(["b", "a"], [torn, sure], [second, first])

@@ -29,7 +29,16 @@ from skymoor.store import Store, has_metadata, read_cameras_csv, read_truth_csv
 from skymoor.weights import KNOWN, fetch, weights_folder
 
 # Small enough for a few minutes on two cores, large enough for every step to have its work.
-DEMO = SiteOptions(seed=1, radius_m=55.0, airborne=26, groups=0, security=0, photo_width=640, reference_width_m=220.0)
+DEMO = SiteOptions(
+    seed=1,
+    radius_m=55.0,
+    airborne=26,
+    groups=1,
+    group_photos=11,
+    security=0,
+    photo_width=640,
+    reference_width_m=220.0,
+)
 
 
 def run(command: Run) -> bool:

@@ -16,6 +16,7 @@ import skymoor.match
 import skymoor.register
 import skymoor.render
 import skymoor.tile_search
+from skymoor.densify import blind_map
 from skymoor.errors import DegenerateGeometry
 from skymoor.ground import (
     AirborneWalls,
@@ -194,7 +195,10 @@ def _heard(item: Placed, found: Registration | None, airborne: _Airborne | None,
         return replace(item, registration=found)
 
     def compute() -> tuple[list[CameraWitness], Image | None]:
-        heard = hear_cameras(item.depths, walls, enu_from_level, options, rng=np.random.default_rng(job.seed))
+        measured, size = {m.camera.image for m in item.depths}, job.options.ground.densify.max_px
+        others = [c for c in item.component.cameras if c.image not in measured]
+        maps = [*item.depths, *(blind_map(camera, job.photos, size) for camera in others)]
+        heard = hear_cameras(maps, walls, enu_from_level, options, rng=np.random.default_rng(job.seed))
         return heard, walls_picture(item.depths, walls, enu_from_level, options)
 
     witnesses, picture = job.store.stage(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -55,7 +56,7 @@ class Camera:
     intrinsics: Intrinsics
     cam_from_world: Similarity
 
-    @property
+    @cached_property
     def centre(self) -> Array:
         """Projection centre in the world frame, (3,)."""
         return self.cam_from_world.inverse().translation

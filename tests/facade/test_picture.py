@@ -17,6 +17,7 @@ from skymoor.facade import (
     check_sight,
     counterparts,
     facade_of,
+    find_walls,
     relief_of,
     sight_of,
     similarity_between,
@@ -82,16 +83,22 @@ def test_affine_and_similarity_undo_each_other() -> None:
     assert similarity.apply(a.xyz(corner)) == pytest.approx(placed, abs=1e-9)
 
 
-def test_cameras_stand_on_the_ground_and_do_not_look_through_houses(walk: list[DepthMap]) -> None:
-    relief = relief_of(surface_of(walk))
+def test_cameras_stand_on_the_ground_and_do_not_look_through_walls(walk: list[DepthMap]) -> None:
+    surface = surface_of(walk)
+    relief, walls = relief_of(surface), find_walls(surface, rng=np.random.default_rng(0))
     sight = sight_of(walk, rng=np.random.default_rng(0))
-    right = check_sight(sight, Similarity.identity(), relief)
+    right = check_sight(sight, Similarity.identity(), relief, walls)
     assert right.height_m == pytest.approx(1.6, abs=0.1)
-    assert right.blocked < 0.05
-    roof = replace(relief, height=np.full_like(relief.height, 7.0))
-    assert check_sight(sight, Similarity.identity(), roof).blocked > 0.9
+    assert right.blocked < 0.02
+    # A tree over all of it hides the people below, and is no wall.
+    tree = replace(relief, height=np.full_like(relief.height, 7.0))
+    assert check_sight(sight, Similarity.identity(), tree, walls).blocked < 0.02
+    across = replace(SOUTH, offset=10.0, s0=-60.0, s1=60.0)
+    assert check_sight(sight, Similarity.identity(), relief, [across]).blocked > 0.3
+    low = replace(across, z1=across.z0 + 0.5)
+    assert check_sight(sight, Similarity.identity(), relief, [low]).blocked < 0.02
     away = Similarity(1.0, np.eye(3), np.array([1000.0, 0.0, 0.0]))
-    assert check_sight(sight, away, relief).outside == 1.0
+    assert check_sight(sight, away, relief, walls).outside == 1.0
 
 
 def test_counterparts_lie_on_the_facade_s_own_grid(walk: list[DepthMap]) -> None:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skymoor.match import FacadeSearchOptions, agreement, search_shifts
+from skymoor.match import FacadeSearchOptions, agreement, drift, search_shifts
 from skymoor.types import Raster
 
 
@@ -67,3 +67,17 @@ def test_agreement_is_one_with_itself_and_falls_with_a_shift() -> None:
     shifted = Raster(np.roll(whole.rgb, 6, axis=1), whole.mask)
     assert agreement([(shifted, whole)], alike)[0] < 0.5
     assert agreement([]) == (0.0, 0.0)
+
+
+def test_a_picture_that_lies_aside_says_how_far() -> None:
+    far = windows(0)
+    shifted = Raster(np.roll(far.rgb, (6, -9), axis=(0, 1)), far.mask)
+    found = drift(shifted, far, reach_px=20, still_px=3)
+    assert found is not None
+    np.testing.assert_allclose(found.px, (9, -6), atol=0.3)
+    assert found.there > 2 * found.here
+    at_its_place = drift(far, far, reach_px=20, still_px=3)
+    assert at_its_place is not None
+    assert at_its_place.here == at_its_place.there
+    np.testing.assert_allclose(at_its_place.px, (0, 0), atol=0.1)
+    assert drift(Raster(far.rgb, np.zeros_like(far.mask)), far, reach_px=20, still_px=3) is None

@@ -3,5 +3,6 @@
 
 from skymoor.densify._sgm import SgmDepth
 from skymoor.densify.protocol import DepthEstimator, MonocularDepth
+from skymoor.densify.views import blind_map
 
-__all__ = ["DepthEstimator", "MonocularDepth", "SgmDepth"]
+__all__ = ["DepthEstimator", "MonocularDepth", "SgmDepth", "blind_map"]

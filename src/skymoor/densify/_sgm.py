@@ -19,6 +19,7 @@ import numpy as np
 from skymoor.densify.fuse import fuse_depths
 from skymoor.densify.neighbours import depth_range, stereo_partners
 from skymoor.densify.protocol import DepthEstimator
+from skymoor.densify.views import reduced, undistorted
 from skymoor.geometry.camera import Intrinsics
 from skymoor.types import Array, Array32, Camera, Component, DepthMap, Image, Mask, Photos, Progress, no_progress
 
@@ -55,7 +56,7 @@ class SgmDepth:
 
         @lru_cache(maxsize=64)
         def view(index: int) -> tuple[Camera, Image]:
-            return _reduced(component.cameras[index], photos.read(component.cameras[index].image), self.max_px)
+            return reduced(component.cameras[index], photos.read(component.cameras[index].image), self.max_px)
 
         def one(index: int) -> DepthMap | None:
             return self._depth_map(component, index, wanted[index], view) if wanted[index] else None
@@ -72,7 +73,6 @@ class SgmDepth:
     def _depth_map(self, component: Component, index: int, partners: list[int], view: Views) -> DepthMap:
         camera, image = view(index)
         near, far = depth_range(component, index)
-        pinhole = camera.intrinsics.undistorted()
         depths, sigmas = [], []
         for partner in partners:
             other, other_image = view(partner)
@@ -80,10 +80,8 @@ class SgmDepth:
             depths.append(depth)
             sigmas.append(sigma)
         depth, sigma, n_views = fuse_depths(np.stack(depths), np.stack(sigmas), min_views=self.min_views)
-        rgb = cv2.undistort(
-            image, camera.intrinsics.matrix_cv(), np.array(camera.intrinsics.distortion), None, pinhole.matrix_cv()
-        )
-        return DepthMap(Camera(camera.image, pinhole, camera.cam_from_world), depth, sigma, n_views, rgb)
+        pinhole, rgb = undistorted(camera, image)
+        return DepthMap(pinhole, depth, sigma, n_views, rgb)
 
 
 _: type[DepthEstimator] = SgmDepth
@@ -215,11 +213,3 @@ def pixel_rays(intrinsics: Intrinsics) -> Array:
     u = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
     v = (np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
     return np.stack([*np.meshgrid(u, v), np.ones((intrinsics.height, intrinsics.width))], axis=-1)
-
-
-def _reduced(camera: Camera, image: Image, max_px: int) -> tuple[Camera, Image]:
-    i = camera.intrinsics
-    ratio = min(1.0, max_px / max(i.width, i.height))
-    size = (round(i.width * ratio), round(i.height * ratio))
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if ratio < 1 else image
-    return Camera(camera.image, i.resized(*size), camera.cam_from_world), small

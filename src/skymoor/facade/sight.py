@@ -11,8 +11,15 @@ from scipy.ndimage import distance_transform_edt
 
 from skymoor.errors import DegenerateGeometry
 from skymoor.facade.surface import Surface
+from skymoor.facade.walls import Wall
 from skymoor.geometry.similarity import Similarity
 from skymoor.types import Array, Array32, DepthMap, Mask
+
+REACH = 0.85
+"""Of the way to what a ray sees: depths and scales are not exact."""
+
+FOOT_M = 1.0
+"""Walls begin this much below the lowest part of them that was seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +49,10 @@ class Relief:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Viewing rays of a model: cameras (n, 3), and places (n, rays, steps, 3) on the way to what each one sees."""
+    """Viewing rays of a model: from cameras (n, 3) to shortly before what each one sees, (n, rays, 3)."""
 
     centres: Array
-    ways: Array
+    ends: Array
 
 
 def relief_of(surface: Surface, *, cell_m: float = 1.0, min_normal_up: float = 0.8) -> Relief:
@@ -67,9 +74,9 @@ def relief_of(surface: Surface, *, cell_m: float = 1.0, min_normal_up: float = 0
     return Relief(height[rows, columns], known, float(x0), float(y0), cell_m)
 
 
-def sight_of(maps: Sequence[DepthMap], *, rays: int = 40, steps: int = 12, rng: np.random.Generator) -> Sight:
+def sight_of(maps: Sequence[DepthMap], *, rays: int = 40, rng: np.random.Generator) -> Sight:
     """Some viewing rays of each photo, up to shortly before what it sees."""
-    centres, ways = [], []
+    centres, ends = [], []
     for depth_map in maps:
         rows, columns = np.nonzero(np.isfinite(depth_map.depth))
         if not len(rows):
@@ -78,27 +85,40 @@ def sight_of(maps: Sequence[DepthMap], *, rays: int = 40, steps: int = 12, rng: 
         z = depth_map.depth[rows[pick], columns[pick]].astype(np.float64)
         px = np.column_stack([columns[pick] + 0.5, rows[pick] + 0.5])
         directions = depth_map.camera.intrinsics.rays(px) @ depth_map.camera.cam_from_world.rotation
-        share = np.linspace(0.0, 0.85, steps)
-        ways.append(depth_map.camera.centre + (share[:, None] * z[:, None, None]) * directions[:, None])
+        ends.append(depth_map.camera.centre + REACH * z[:, None] * directions)
         centres.append(depth_map.camera.centre)
-    return Sight(np.array(centres).reshape(-1, 3), np.array(ways).reshape(-1, rays, steps, 3))
+    return Sight(np.array(centres).reshape(-1, 3), np.array(ends).reshape(-1, rays, 3))
 
 
 @dataclass(frozen=True)
 class SightCheck:
-    """How high the cameras stand (median, m), and the share of the rays that cross something by more than a metre."""
+    """How high the cameras stand (median, m), the share of the rays that cross walls, and of cameras off the map."""
 
     height_m: float
     blocked: float
     outside: float
 
 
-def check_sight(sight: Sight, enu_from_level: Similarity, relief: Relief, *, margin_m: float = 1.0) -> SightCheck:
-    """Where a hypothesis puts the cameras, seen from above. Cameras off the map count in `outside` only."""
+def check_sight(
+    sight: Sight, enu_from_level: Similarity, relief: Relief, walls: Sequence[Wall], *, margin_m: float = 0.5
+) -> SightCheck:
+    """Where a hypothesis puts the cameras, seen from above. Cameras off the map count in `outside` only.
+
+    Trees hide from above what people see below them, so it is walls that may not be crossed; what is nearer to a
+    wall than `margin_m` or to its edge counts as beside it.
+    """
     centres = enu_from_level.apply(sight.centres)
     above = centres[:, 2] - relief.at(centres[:, :2])
-    ways = enu_from_level.apply(sight.ways)
-    below = ways[..., 2] < relief.at(ways[..., :2], only_seen=True) - margin_m
     outside = float(np.isnan(above).mean()) if len(above) else 1.0
     height = float(np.nanmedian(above)) if outside < 1 else float("nan")
-    return SightCheck(height, float(below.any(axis=-1).mean()) if below.size else 0.0, outside)
+    starts, ends = np.broadcast_to(centres[:, None], sight.ends.shape), enu_from_level.apply(sight.ends)
+    crossed = np.zeros(starts.shape[:2], bool)
+    for wall in walls:
+        before, behind = (p[..., :2] @ wall.normal - wall.offset for p in (starts, ends))
+        through = (before * behind < 0) & (np.minimum(np.abs(before), np.abs(behind)) > margin_m)
+        share = before / np.where(through, before - behind, 1.0)
+        point = starts + share[..., None] * (ends - starts)
+        s, z = point[..., :2] @ wall.right, point[..., 2]
+        within = (s > wall.s0 + margin_m) & (s < wall.s1 - margin_m) & (z < wall.z1 - margin_m)
+        crossed |= through & within & (z > wall.z0 - FOOT_M)
+    return SightCheck(height, float(crossed.mean()) if crossed.size else 0.0, outside)

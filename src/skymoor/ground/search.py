@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from skymoor.facade import (
     Facade,
+    Wall,
     check_sight,
     counterparts,
     facade_of,
@@ -35,6 +36,9 @@ from skymoor.register import (
     restated,
 )
 from skymoor.types import Array, DepthMap, Matches3D, Progress, Registration, no_progress
+
+GOLDEN = 0.61803
+"""Of a turn: directions that many steps apart fill the circle evenly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +83,10 @@ def search_ground(
         progress: counts the walls that are searched, then the answers that are refined.
 
     Returns:
-        the answers. The diagnostics of the registration that they are judged to be hold the evidence: "score" and
-        "second_score" of the best answer and of the best one elsewhere, "ncc", "walls_seen", "support" (walls that
-        suggested the answer), "pooled_score" of these, "height_m", "blocked", "cells", and how much was searched:
-        "walls", "guesses", "answers".
+        the answers. The diagnostics of the registration that they are judged to be hold the evidence: "contrast" and
+        "second_contrast" of the best answer and of the best one elsewhere, their "score" and "second_score", "ncc",
+        "walls_seen", "support" (walls that suggested the answer), "pooled_score" of these, "height_m", "blocked",
+        "cells", and how much was searched: "walls", "guesses", "answers".
     """
     options = options or GroundOptions()
     # Sizes of walls are options in metres: a middling scale makes them so, nearly.
@@ -96,8 +100,7 @@ def search_ground(
         progress(done + 1, len(answers))
     candidates = sorted(candidates, key=lambda candidate: -candidate.score)
     finals = _finished(candidates[: options.finalists], work)
-    rest = [work.levelled(candidate) for candidate in candidates[options.finalists :]]
-    ranked = sorted(finals + rest, key=lambda candidate: -candidate.score)
+    ranked = sorted(finals, key=lambda candidate: -candidate.contrast)
     counts = {"walls": len(work.searched), "guesses": len(guesses), "answers": len(answers)}
     probes = middling.inverse().apply(work.probes)
     return WallAnswers(tuple(ranked), probes, {name: float(n) for name, n in counts.items()}, options.judge)
@@ -113,7 +116,7 @@ def _finished(candidates: Sequence[Candidate], work: _Work) -> list[Candidate]:
         if step and step not in rescaled:
             rescaled[step] = work.rescaled(1.1**step)
         own = rescaled[step] if step else work
-        found.append(own.levelled(own.polished(own.finished(own.adopted(candidate, work)))))
+        found.append(own.levelled(own.tested(own.polished(own.finished(own.adopted(candidate, work))))))
     return found
 
 
@@ -168,6 +171,10 @@ class _Work:
         return self.facades[: self.options.searched_walls]
 
     @property
+    def _solid(self) -> list[Wall]:
+        return [facade.wall for facade in self.airborne.facades]
+
+    @property
     def probes(self) -> Array:
         """Cameras and corners of walls (n, 3): they say how far two answers are apart."""
         cameras = np.array([depth_map.camera.centre for depth_map in self.maps]).reshape(-1, 3)
@@ -189,7 +196,7 @@ class _Work:
         found = []
         for shift in shifts[: options.pool.screened]:
             placed = similarity_between(self.searched[shift.a], others[shift.b], shift.matrix)
-            check = check_sight(sight, placed, self.airborne.relief)
+            check = check_sight(sight, placed, self.airborne.relief, self._solid)
             stands = options.judge.min_height_m <= check.height_m <= options.judge.max_height_m
             if stands and check.outside <= 0.5 and check.blocked <= options.max_blocked:
                 found.append(Guess(placed, shift.a, shift.b, shift.score))
@@ -218,11 +225,22 @@ class _Work:
         Matches pull each photo's picture of a wall towards the wall, one by one; where walls repeat themselves, or only
         one is large, that leaves the whole model a little aside. Here it is moved as a whole: position, heading, scale.
         """
+        options, best = self.options, candidate.enu_from_level
         if not candidate.registration.registered:
             return candidate
-        start, options = candidate.enu_from_level, self.options
-        centre = start.apply(np.array([depth_map.camera.centre for depth_map in self.maps])).mean(axis=0)
-        steps = np.array([*options.polish_steps_m, np.radians(options.polish_heading_deg), options.polish_scale])
+        for size in options.polish_sizes:
+            best = self._best_near(best, size)
+        matches = self._matches(best, all_photos=True)
+        found = restated(candidate.registration, best, matches, options.register.inlier_m)
+        cells = independent_cells(matches.xyz_enu[found.inliers], options.judge.cell_m)
+        return self._candidate(candidate.answer, found, best, cells)
+
+    def _best_near(self, start: Similarity, size: float) -> Similarity:
+        """The best place near one, by simplex search with first steps of `size` times those of the options."""
+        options = self.options
+        # About what is seen, so that heading and scale leave the walls where they are.
+        centre = start.apply(sight_of(self.maps, rng=self.rng).ends.reshape(-1, 3)).mean(axis=0)
+        steps = size * np.array([*options.polish_steps_m, np.radians(options.polish_heading_deg), options.polish_scale])
 
         def place(x: Array) -> Similarity:
             heading, scale = float(x[3] * steps[3]), float(np.exp(x[4] * steps[4]))
@@ -233,12 +251,17 @@ class _Work:
             return -self._agreement(place(x))[1]
 
         simplex = np.vstack([np.zeros(5), np.eye(5)])
-        limits = {"initial_simplex": simplex, "maxfev": options.polish_trials, "xatol": 0.02, "fatol": 0.05}
-        best = place(minimize(cost, np.zeros(5), method="Nelder-Mead", options=limits).x)
-        matches = self._matches(best, all_photos=True)
-        found = restated(candidate.registration, best, matches, options.register.inlier_m)
-        cells = independent_cells(matches.xyz_enu[found.inliers], options.judge.cell_m)
-        return self._candidate(candidate.answer, found, best, cells)
+        limits = {"initial_simplex": simplex, "maxfev": options.polish_trials, "xatol": 0.05, "fatol": 0.1}
+        return place(minimize(cost, np.zeros(5), method="Nelder-Mead", options=limits).x)
+
+    def tested(self, candidate: Candidate) -> Candidate:
+        """The candidate with how much better all photos agree with the walls there than a few metres aside."""
+        options = self.options
+        turns = 2 * np.pi * np.arange(options.aside) * GOLDEN
+        lengths = np.linspace(options.aside_min_m, options.aside_max_m, options.aside)
+        shifts = lengths[:, None] * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(options.aside)])
+        moves = [Similarity(1.0, np.eye(3), shift) @ candidate.enu_from_level for shift in shifts]
+        return replace(candidate, scores_aside=tuple(self._agreement(move)[1] for move in moves))
 
     def _round(self, candidate: Candidate, *, all_photos: bool) -> Candidate:
         matches = self._matches(candidate.enu_from_level, all_photos=all_photos)
@@ -267,7 +290,7 @@ class _Work:
 
     def _candidate(self, answer: Guess, found: Registration, placed: Similarity, cells: int) -> Candidate:
         ncc, score, walls_seen = self._agreement(placed)
-        check = check_sight(sight_of(self.maps, rng=self.rng), placed, self.airborne.relief)
+        check = check_sight(sight_of(self.maps, rng=self.rng), placed, self.airborne.relief, self._solid)
         return Candidate(answer, found, placed, score, ncc, walls_seen, check.height_m, check.blocked, cells)
 
     def _agreement(self, placed: Similarity) -> tuple[float, float, int]:

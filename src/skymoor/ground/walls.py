@@ -50,13 +50,15 @@ class GroundOptions:
         min_scale, max_scale: metres per unit of the ground model that are searched. A levelled component has the
             cameras' height above the ground for its unit, but little ground is seen before a wall, so that the unit
             may be half or one and a half times of what it ought to be.
-        max_blocked: share of the viewing rays of a guess that may cross buildings.
+        max_blocked: share of the viewing rays of a guess that may cross walls.
         max_angle_deg, max_gap_m: a ground wall and an airborne wall this close are matched densely.
         finalists: answers that are refined with all that the photos show.
         rounds: of that refinement, each from where the last one ended.
-        polish_trials: places near each of them that are then tried as a whole.
-        polish_steps_m, polish_heading_deg, polish_scale: how far apart those are at first, east, north and up, in
-            heading, and in the logarithm of the scale.
+        polish_trials: places near each of them that are then tried as a whole, in each of as many searches as there are
+        polish_sizes: of the first steps, in units of
+        polish_steps_m, polish_heading_deg, polish_scale: which are east, north and up, in heading, and in the logarithm
+            of the scale.
+        aside, aside_min_m, aside_max_m: so many places around each of them, so far away, say what chance does there.
         walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register, counterparts, judge: of the
             steps.
     """
@@ -66,15 +68,19 @@ class GroundOptions:
     searched_walls: int = 5
     min_scale: float = 0.6
     max_scale: float = 2.6
-    max_blocked: float = 0.35
+    max_blocked: float = 0.1
     max_angle_deg: float = 12.0
     max_gap_m: float = 1.5
     finalists: int = 4
     rounds: int = 2
-    polish_trials: int = 100
+    polish_trials: int = 60
+    polish_sizes: tuple[float, ...] = (2.5, 1.0)
     polish_steps_m: tuple[float, float, float] = (0.4, 0.4, 0.3)
     polish_heading_deg: float = 0.6
     polish_scale: float = 0.01
+    aside: int = 24
+    aside_min_m: float = 1.5
+    aside_max_m: float = 5.0
     walls: WallOptions = field(default_factory=WallOptions)
     airborne_facades: FacadeOptions = field(default_factory=FacadeOptions)
     ground_facades: FacadeOptions = field(default_factory=lambda: FacadeOptions(margin_m=4.0, guess_margin_m=4.0))

@@ -7,7 +7,7 @@ from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
 from skymoor.match._romav2 import RomaV2Matcher
 from skymoor.match.align import lay, match_placed
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
-from skymoor.match.facade import FacadeSearchOptions, Shift, agreement, search_shifts
+from skymoor.match.facade import Drift, FacadeSearchOptions, Shift, agreement, drift, search_shifts
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.search import Placement, SearchOptions, search_placements
 from skymoor.match.structural import StructuralMatcher
@@ -16,6 +16,7 @@ __all__ = [
     "AlikedMatcher",
     "CyclicOptions",
     "DenseMatcher",
+    "Drift",
     "FacadeSearchOptions",
     "LoftrMatcher",
     "Placement",
@@ -27,6 +28,7 @@ __all__ = [
     "TinyRomaMatcher",
     "agreement",
     "cyclic_matches",
+    "drift",
     "lay",
     "match_placed",
     "search_placements",

@@ -32,7 +32,7 @@ class FacadeSearchOptions:
 
     scale_step: float = 1.04
     min_overlap: float = 0.3
-    per_pair: int = 2
+    per_pair: int = 3
     apart_px: int = 8
     sharp: ChannelOptions = field(default_factory=lambda: ChannelOptions(smooth_px=1.3))
     blurred: ChannelOptions = field(default_factory=ChannelOptions)
@@ -101,6 +101,39 @@ def _at_scale(
         for v, u, score in peaks(scores, count=options.per_pair, apart=options.apart_px):
             found.append(Shift(a, b, scale, (u - width + 1, v - height + 1), score))
     return found
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How well two pictures agree where they lie, `here`, and at the best place within reach, `there`, `px` away.
+
+    Scores are as of `correlate`; `px` is (u, v) by which the first picture must move.
+    """
+
+    here: float
+    there: float
+    px: tuple[float, float]
+
+
+def drift(
+    near: Raster, far: Raster, *, reach_px: int, still_px: int, options: FacadeSearchOptions | None = None
+) -> Drift | None:
+    """Whether a picture from near lies well on one from far, of the same size; None where they share too little.
+
+    Moves up to `still_px` count as `here`; `reach_px` is the largest that is tried.
+    """
+    options = options or FacadeSearchOptions()
+    if min(near.mask.sum(), far.mask.sum()) < FEWEST_PX:
+        return None
+    template = make_channels(near, options.sharp)
+    scores = correlate(template, Target(make_channels(far, options.blurred)), min_overlap=options.min_overlap)
+    v0, u0 = near.mask.shape[0] - 1, near.mask.shape[1] - 1
+    top, left = max(v0 - reach_px, 0), max(u0 - reach_px, 0)
+    window = scores[top : v0 + reach_px + 1, left : u0 + reach_px + 1]
+    still = scores[max(v0 - still_px, 0) : v0 + still_px + 1, max(u0 - still_px, 0) : u0 + still_px + 1]
+    for v, u, there in peaks(window, count=1, apart=1):
+        return Drift(max(float(still.max()), 0.0), there, (u + left - u0, v + top - v0))
+    return None
 
 
 def agreement(

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class PoolOptions:
         keep: answers that come out.
     """
 
-    screened: int = 4000
+    screened: int = 6000
     lead_ratio: float = 0.6
     near_m: float = 2.5
     keep: int = 20
@@ -78,8 +79,9 @@ class Candidate:
     """An answer after refinement, with what the photos say of it.
 
     `score` and `ncc` are the agreement of all photos with `walls_seen` walls of the airborne model; `height_m` is how
-    high the cameras stand above what is seen from above (median), `blocked` the share of viewing rays that cross it;
-    `cells` counts the independent cubes that hold inliers, see `independent_cells`.
+    high the cameras stand above what is seen from above (median), `blocked` the share of viewing rays that cross walls;
+    `cells` counts the independent cubes that hold inliers, see `independent_cells`; `scores_aside` are the scores of
+    places a few metres away.
     """
 
     answer: Guess
@@ -91,6 +93,20 @@ class Candidate:
     height_m: float
     blocked: float
     cells: int
+    scores_aside: tuple[float, ...] = ()
+
+    @property
+    def contrast(self) -> float:
+        """How far the score stands out from those aside: by how much, over the root of their spread.
+
+        Walls are alike in their floors and edges, so that two models agree a little wherever walls lie on walls, the
+        more the larger they are. What only the right place explains goes when the model is moved aside.
+        """
+        if len(self.scores_aside) < 2:
+            return 0.0
+        gain = self.score - float(np.mean(self.scores_aside))
+        spread = max(float(np.std(self.scores_aside)), 1e-6)
+        return max(gain, 0.0) / sqrt(spread)
 
 
 @dataclass(frozen=True)
@@ -98,19 +114,21 @@ class JudgeOptions:
     """When not to believe the best answer.
 
     Attributes:
-        min_score: wrong answers reached 34 on the simulated sites, most of them 15 to 30; right ones 40 to 66, fewer
-            where depth maps hold little.
-        min_margin: by which the best score must exceed that of the best answer elsewhere.
+        min_contrast: see `Candidate`; docs/benchmarks.md has what right and wrong answers reach.
+        min_margin: by which the best contrast must exceed that of the best answer elsewhere.
+        min_rivals, lone_contrast: with fewer answers elsewhere to compare with, the contrast itself must be so high.
         apart_m: answers are elsewhere if they put the model's probes at least this far, on average.
         min_inlier_ratio: of the dense matches (the paper's).
         min_cells, cell_m: cubes in space that hold inliers: neighbouring matches repeat each other.
         max_tilt_deg: by which the registration may tilt the levelled model.
         min_height_m, max_height_m: of the cameras; see `Candidate`.
-        max_blocked: share of viewing rays that may cross something.
+        max_blocked: share of viewing rays that may cross walls.
     """
 
-    min_score: float = 36.0
-    min_margin: float = 1.25
+    min_contrast: float = 11.0
+    min_margin: float = 1.5
+    min_rivals: int = 2
+    lone_contrast: float = 16.0
     apart_m: float = 5.0
     min_inlier_ratio: float = 0.2
     min_cells: int = 10
@@ -118,7 +136,7 @@ class JudgeOptions:
     max_tilt_deg: float = 6.0
     min_height_m: float = 0.8
     max_height_m: float = 2.6
-    max_blocked: float = 0.6
+    max_blocked: float = 0.05
 
 
 def judge_ground(candidates: Sequence[Candidate], probes: Array, options: JudgeOptions | None = None) -> Registration:
@@ -133,15 +151,19 @@ def judge_ground(candidates: Sequence[Candidate], probes: Array, options: JudgeO
     if not candidates:
         reason = "no wall of the model fits any wall of the airborne model"
         return Registration(registered=False, reason=reason, enu_from_level=None)
-    best, found = candidates[0], candidates[0].registration
-    elsewhere = [
-        c.score for c in candidates[1:] if _apart(best.enu_from_level, c.enu_from_level, probes) >= options.apart_m
-    ]
-    second = max(elsewhere, default=0.0)
+    # What people cannot have done is neither an answer nor another one that is nearly as good.
+    possible = [c for c in candidates if _possible(c, options)] or list(candidates)
+    best, found = possible[0], possible[0].registration
+    placed = best.enu_from_level
+    compared = [c for c in candidates if _apart(placed, c.enu_from_level, probes) >= options.apart_m]
+    elsewhere = [c for c in compared if c in possible]
+    second = max((c.contrast for c in elsewhere), default=0.0)
     diagnostics = {
         **found.diagnostics,
+        "contrast": best.contrast,
+        "second_contrast": second,
         "score": best.score,
-        "second_score": second,
+        "second_score": max((c.score for c in elsewhere), default=0.0),
         "ncc": best.ncc,
         "walls_seen": float(best.walls_seen),
         "support": float(best.answer.support),
@@ -150,23 +172,24 @@ def judge_ground(candidates: Sequence[Candidate], probes: Array, options: JudgeO
         "blocked": best.blocked,
         "cells": float(best.cells),
     }
-    for refused, reason in _reasons(best, second, options):
+    needed = options.min_contrast if len(compared) >= options.min_rivals else options.lone_contrast
+    for refused, reason in _reasons(best, second, needed, options):
         if refused:
             return replace(found, registered=False, reason=reason, diagnostics=diagnostics)
     return replace(found, diagnostics=diagnostics)
 
 
-def _reasons(best: Candidate, second: float, options: JudgeOptions) -> list[tuple[bool, str]]:
+def _reasons(best: Candidate, second: float, needed: float, options: JudgeOptions) -> list[tuple[bool, str]]:
     found = best.registration
     return [
         (not found.registered, found.reason),
         (
-            best.score < options.min_score,
-            f"the photos agree with the airborne walls by {best.score:.0f}, chance reaches {options.min_score:.0f}",
+            best.contrast < needed,
+            f"the photos agree with the airborne walls by {best.contrast:.1f}, {needed:.0f} is needed",
         ),
         (
-            best.score < options.min_margin * second,
-            f"another place is nearly as good: it scores {second:.0f}, the best {best.score:.0f}",
+            best.contrast < options.min_margin * second,
+            f"another place is nearly as good: it has a contrast of {second:.1f}, the best {best.contrast:.1f}",
         ),
         (
             found.inlier_ratio < options.min_inlier_ratio,
@@ -181,8 +204,14 @@ def _reasons(best: Candidate, second: float, options: JudgeOptions) -> list[tupl
             not options.min_height_m <= best.height_m <= options.max_height_m,
             f"the cameras would stand {best.height_m:.1f} m above the ground",
         ),
-        (best.blocked > options.max_blocked, f"{best.blocked:.0%} of the viewing rays would cross buildings"),
+        (best.blocked > options.max_blocked, f"{best.blocked:.0%} of the viewing rays would cross walls"),
     ]
+
+
+def _possible(candidate: Candidate, options: JudgeOptions) -> bool:
+    """Whether the cameras stand on the ground and look at what nothing hides."""
+    stands = options.min_height_m <= candidate.height_m <= options.max_height_m
+    return stands and candidate.blocked <= options.max_blocked
 
 
 def _apart(a: Similarity, b: Similarity, probes: Array) -> float:
