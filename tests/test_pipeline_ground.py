@@ -14,6 +14,7 @@ import pytest
 
 from skymoor import pipeline_ground
 from skymoor.geometry.similarity import Similarity
+from skymoor.match import MatcherOptions
 from skymoor.pipeline import Job, Placed
 from skymoor.pipeline_ground import register_ground_sets
 from skymoor.settings import GroundSetOptions, Options
@@ -83,7 +84,10 @@ def test_tiles_place_both_components(
     maps, enu_from_level, world = stubbed
     oracle: Any = TileOracle(world.airborne, world.walk())
     ground = GroundSetOptions(
-        method=method, matcher=oracle, cascade=CascadeOptions(consensus=CONSENSUS), exhaustive=CONSENSUS
+        method=method,
+        matcher=MatcherOptions(structural=oracle),
+        cascade=CascadeOptions(consensus=CONSENSUS),
+        exhaustive=CONSENSUS,
     )
     with Store.open(tmp_path) as store:
         base = airborne_of(world, store)

@@ -11,7 +11,7 @@ import tyro
 
 from skymoor import __version__
 from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights
-from skymoor.errors import InputError, SkymoorError
+from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 
 EXIT_REGISTERED, EXIT_ERROR, EXIT_USAGE, EXIT_NOT_REGISTERED = 0, 1, 2, 3
 
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             done = commands.run(chosen) if isinstance(chosen, Run) else commands.demo(chosen)
             return EXIT_REGISTERED if done else EXIT_NOT_REGISTERED
         return EXIT_REGISTERED
-    except InputError as error:
+    except (InputError, BackendUnavailable) as error:  # an engine that is not here was asked for
         print(f"skymoor: {error}", file=sys.stderr)
         return EXIT_USAGE
     except SkymoorError as error:

@@ -21,7 +21,7 @@ from skymoor.pipeline_ground import register_ground_sets
 from skymoor.products import NOT_REGISTERED, PlacedSet, write_products
 from skymoor.reference import read_reference
 from skymoor.screen import Screen, evaluation_table, summary_table
-from skymoor.settings import Options
+from skymoor.settings import Options, check_engines
 from skymoor.simulate import SiteOptions
 from skymoor.simulate.site import write_site
 from skymoor.simulate.world import World
@@ -49,6 +49,7 @@ def run(command: Run) -> bool:
         raise InputError(
             f"{command.site}: it names no [airborne] images; ground photos are placed on the airborne model"
         )
+    check_engines(options)
     with Screen(plain=command.quiet) as screen, Store.open(command.out, note=screen.note) as store:
         photos = store.photos("photos", site.airborne, site.root, screen.track("photos"))
         _tell_metadata(site.airborne, screen)

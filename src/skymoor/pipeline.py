@@ -159,7 +159,7 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
     registration, matches = job.store.stage(
         f"{name}.register",
         lambda: _register_best(placements, render, job),
-        options=(options.match, options.lift, options.register, job.seed),
+        options=(options.match, options.match.dense.ready(), options.lift, options.register, job.seed),
         after=["reference", f"{name}.search"],
         code=[skymoor.match, skymoor.lift, skymoor.register, skymoor.geometry],
     )
@@ -234,11 +234,12 @@ def _register_best(placements: Sequence[Placement], render: Render, job: Job) ->
     """Match densely at the best placements, and believe the one that most independent places confirm."""
     options, reference, rng = job.options, job.reference, np.random.default_rng(job.seed)
     picture, map_picture = nadir_raster(render, options.match.min_height_confidence), reference_raster(reference)
+    dense, cyclic = options.match.dense.engine, options.match.cyclic
     results: list[tuple[Registration, Matches3D]] = []
     for k, placement in enumerate(placements[: options.match.candidates]):
         b_from_a = placement.matrix(picture.mask.shape)
         metres_per_level = placement.scale * reference.grid.pixel_m / render.view.pixel
-        matches_2d, _ = match_placed(picture, map_picture, b_from_a, options.match.dense, options.match.cyclic, rng=rng)
+        matches_2d, _ = match_placed(picture, map_picture, b_from_a, dense, cyclic, rng=rng)
         matches = lift(matches_2d, render, reference, metres_per_level, options.lift)
         registration = register(matches, reference.grid.pixel_m, options.register, rng=rng)
         scores = [placement.score, *(other.score for j, other in enumerate(placements) if j != k)]

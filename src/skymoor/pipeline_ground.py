@@ -141,7 +141,7 @@ def _search(item: Placed, airborne: _Airborne, job: Job) -> Answers:
 
 def _search_tiles(item: Placed, airborne: _Airborne, job: Job) -> OneAnswer:
     """Where the tiles of the airborne model's renders say that a component stands."""
-    options, base = job.options.ground, airborne.base
+    options, base, ready = job.options.ground, airborne.base, job.options.ground.matcher.ready()
 
     def compute() -> OneAnswer:
         common: dict[str, Any] = {
@@ -151,9 +151,9 @@ def _search_tiles(item: Placed, airborne: _Airborne, job: Job) -> OneAnswer:
         }
         try:
             if options.method == "cascade":
-                found = cascade(item.depths, airborne.renders, options.matcher, options.cascade, **common)
+                found = cascade(item.depths, airborne.renders, options.matcher.engine, options.cascade, **common)
             else:
-                found = exhaustive(item.depths, airborne.renders, options.matcher, options.exhaustive, **common)
+                found = exhaustive(item.depths, airborne.renders, options.matcher.engine, options.exhaustive, **common)
         except DegenerateGeometry as error:
             found = refused(item.name, item.component, str(error)).registration
         return OneAnswer(found)
@@ -161,7 +161,7 @@ def _search_tiles(item: Placed, airborne: _Airborne, job: Job) -> OneAnswer:
     return job.store.stage(
         f"{item.name}.tiles",
         compute,
-        options=(options.method, options.matcher, options.cascade, options.exhaustive, job.seed),
+        options=(options.method, options.matcher, ready, options.cascade, options.exhaustive, job.seed),
         after=[f"{base.name}.obliques", f"{base.name}.register", f"{item.name}.depths"],
         code=[skymoor.tile_search, skymoor.match, skymoor.register, skymoor.geometry],
     )

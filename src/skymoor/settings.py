@@ -9,7 +9,7 @@ from typing import Literal
 from skymoor.densify import SgmDepth
 from skymoor.ground import GroundOptions, JointOptions
 from skymoor.lift import LiftOptions
-from skymoor.match import CyclicOptions, SearchOptions, StructuralMatcher
+from skymoor.match import CyclicOptions, MatcherOptions, SearchOptions
 from skymoor.model import MeshBuilder, NerfBuilder, SceneBuilder
 from skymoor.orient import OrientOptions, UprightOptions
 from skymoor.reconstruct import ReconstructOptions, ground_options
@@ -26,6 +26,7 @@ class MatchOptions:
         min_height_m, max_height_m: flying heights that are searched: the scale of a levelled model.
         candidates: placements that are matched densely; the one with most independent inliers is believed.
         min_height_confidence: heights of the render below it are neither matched nor compared nor written.
+        search, dense, cyclic: of the steps.
     """
 
     min_height_m: float = 20.0
@@ -33,7 +34,7 @@ class MatchOptions:
     candidates: int = 3
     min_height_confidence: float = 0.2
     search: SearchOptions = field(default_factory=SearchOptions)
-    dense: StructuralMatcher = field(default_factory=StructuralMatcher)
+    dense: MatcherOptions = field(default_factory=MatcherOptions)
     cyclic: CyclicOptions = field(default_factory=CyclicOptions)
 
 
@@ -77,7 +78,7 @@ class GroundSetOptions:
     densify: SgmDepth = field(default_factory=SgmDepth)
     upright: UprightOptions = field(default_factory=UprightOptions)
     place: GroundOptions = field(default_factory=GroundOptions)
-    matcher: StructuralMatcher = field(default_factory=StructuralMatcher)
+    matcher: MatcherOptions = field(default_factory=MatcherOptions)
     cascade: CascadeOptions = field(default_factory=CascadeOptions)
     exhaustive: ConsensusOptions = field(default_factory=ConsensusOptions)
     joint: JointOptions = field(default_factory=JointOptions)
@@ -97,3 +98,15 @@ class Options:
     register: RegisterOptions = field(default_factory=RegisterOptions)
     relief: ReliefOptions = field(default_factory=ReliefOptions)
     ground: GroundSetOptions = field(default_factory=GroundSetOptions)
+
+
+def check_engines(options: Options) -> None:
+    """Whether the chosen engines can run, before an hour of work.
+
+    Raises:
+        BackendUnavailable: a library or weights are missing.
+        InputError: nothing is where weights are said to be.
+    """
+    options.match.dense.ready()
+    if options.ground.method != "walls":
+        options.ground.matcher.ready()

@@ -7,6 +7,7 @@ from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
 from skymoor.match._romav2 import RomaV2Matcher
 from skymoor.match.align import lay, match_placed
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
+from skymoor.match.engines import MatcherOptions
 from skymoor.match.facade import Drift, FacadeSearchOptions, Shift, agreement, drift, search_shifts
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.search import Placement, SearchOptions, search_placements
@@ -19,6 +20,7 @@ __all__ = [
     "Drift",
     "FacadeSearchOptions",
     "LoftrMatcher",
+    "MatcherOptions",
     "Placement",
     "RomaMatcher",
     "RomaV2Matcher",

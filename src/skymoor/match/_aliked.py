@@ -50,6 +50,11 @@ class AlikedMatcher:
         if not 0 < self.max_ratio <= 1:
             raise InputError(f"max_ratio = {self.max_ratio}: a share between 0 and 1")
 
+    def ready(self) -> tuple[Path, ...]:
+        """The files that will be read; see `__call__` for what is raised where something is missing."""
+        require("kornia.feature", "kornia")
+        return (find("aliked", "aliked-n16rot.pth", self.weights),)
+
     def __call__(self, a: Raster, b: Raster) -> Warp:
         """Match both ways; see `DenseMatcher`. The confidence of a match is 1: it has passed the tests.
 
@@ -58,10 +63,9 @@ class AlikedMatcher:
             InputError: the weights are not those of ALIKED n16rot.
         """
         device = torch_device(self.device)
-        feature = require("kornia.feature", "kornia")
-        network = _network(find("aliked", "aliked-n16rot.pth", self.weights), device, self.max_keypoints)
+        network = _network(*self.ready(), device, self.max_keypoints)
         (px_a, described_a), (px_b, described_b) = (self._keypoints(network, raster, device) for raster in (a, b))
-        _, pairs = feature.match_smnn(described_a, described_b, self.max_ratio)
+        _, pairs = require("kornia.feature", "kornia").match_smnn(described_a, described_b, self.max_ratio)
         i, j = pairs.cpu().numpy().T
         return warp_from_pairs(a, b, px_a[i], px_b[j], np.ones(len(i)))
 

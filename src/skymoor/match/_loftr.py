@@ -43,6 +43,11 @@ class LoftrMatcher:
         if self.side_px < 8 * CELL_PX:
             raise InputError(f"side_px = {self.side_px}: LoFTR needs {8 * CELL_PX} at least")
 
+    def ready(self) -> tuple[Path, ...]:
+        """The files that will be read; see `__call__` for what is raised where something is missing."""
+        require("kornia.feature", "kornia")
+        return (find("loftr", "loftr_outdoor.ckpt", self.weights),)
+
     def __call__(self, a: Raster, b: Raster) -> Warp:
         """Match; see `DenseMatcher`. The confidence is the network's, of a match of two cells.
 
@@ -53,8 +58,7 @@ class LoftrMatcher:
         import torch
 
         device = torch_device(self.device)
-        require("kornia.feature", "kornia")
-        network = _network(find("loftr", "loftr_outdoor.ckpt", self.weights), device)
+        network = _network(*self.ready(), device)
         (small_a, scale_a), (small_b, scale_b) = (fitted(x.rgb, self.side_px, CELL_PX) for x in (a, b))
         grey_a, grey_b = (as_tensor(cv2.cvtColor(x, cv2.COLOR_RGB2GRAY), device) for x in (small_a, small_b))
         with torch.inference_mode():

@@ -54,6 +54,12 @@ class RomaMatcher:
         if self.upsample_px < 0 or self.upsample_px % 8:
             raise InputError(f"upsample_px = {self.upsample_px}: RoMa takes multiples of 8, such as 864, or 0")
 
+    def ready(self) -> tuple[Path, ...]:
+        """The files that will be read; see `__call__` for what is raised where something is missing."""
+        require("romatch", "roma")
+        weights = find("roma", "roma_outdoor.pth", self.weights)
+        return weights, find("roma", "dinov2_vitl14_pretrain.pth", self.dinov2)
+
     def __call__(self, a: Raster, b: Raster) -> Warp:
         """Match both ways; see `DenseMatcher`.
 
@@ -62,10 +68,7 @@ class RomaMatcher:
             InputError: the weights are not RoMa's.
         """
         device = torch_device(self.device)
-        require("romatch", "roma")
-        weights = find("roma", "roma_outdoor.pth", self.weights)
-        dinov2 = find("roma", "dinov2_vitl14_pretrain.pth", self.dinov2)
-        network = _roma(weights, dinov2, device, self.coarse_px, self.upsample_px)
+        network = _roma(*self.ready(), device, self.coarse_px, self.upsample_px)
         from PIL import Image
 
         warp, certainty = network.match(Image.fromarray(a.rgb), Image.fromarray(b.rgb), device=device)
@@ -94,6 +97,11 @@ class TinyRomaMatcher:
         if self.side_px < 2 * TINY_PX:
             raise InputError(f"side_px = {self.side_px}: tiny RoMa needs {2 * TINY_PX} at least")
 
+    def ready(self) -> tuple[Path, ...]:
+        """The files that will be read; see `__call__` for what is raised where something is missing."""
+        require("romatch", "roma")
+        return (find("tiny-roma", "tiny_roma_v1_outdoor.pth", self.weights),)
+
     def __call__(self, a: Raster, b: Raster) -> Warp:
         """Match both ways; see `DenseMatcher`.
 
@@ -102,8 +110,7 @@ class TinyRomaMatcher:
             InputError: the weights are not tiny RoMa's.
         """
         device = torch_device(self.device)
-        require("romatch", "roma")
-        network = _tiny_roma(find("tiny-roma", "tiny_roma_v1_outdoor.pth", self.weights), device)
+        network = _tiny_roma(*self.ready(), device)
         pictures = [as_tensor(fitted(raster.rgb, self.side_px, TINY_PX)[0], device) for raster in (a, b)]
         # The network answers one way only.
         flows = []

@@ -49,13 +49,8 @@ class RomaV2Matcher:
     dinov3: str = ""
     setting: Literal["turbo", "fast", "base", "precise", "satast"] = "fast"
 
-    def __call__(self, a: Raster, b: Raster) -> Warp:
-        """Match both ways; see `DenseMatcher`.
-
-        Raises:
-            BackendUnavailable: the licence is not accepted; or romav2, the weights or DINOv3's code are missing.
-            InputError: the weights are not RoMa v2's.
-        """
+    def ready(self) -> tuple[Path, ...]:
+        """The file and the folder that will be read; see `__call__` for what is raised where something is missing."""
         if not self.accept_dinov3_licence:
             raise BackendUnavailable(
                 "RoMa v2 stands on DINOv3, whose licence forbids military and some other uses: "
@@ -63,7 +58,16 @@ class RomaV2Matcher:
             )
         require("romav2", "romav2")
         weights = find("romav2", "romav2.0.1.pt", self.weights)
-        network = _network(weights, _code(self.dinov3, weights), self.setting)
+        return weights, _code(self.dinov3, weights)
+
+    def __call__(self, a: Raster, b: Raster) -> Warp:
+        """Match both ways; see `DenseMatcher`.
+
+        Raises:
+            BackendUnavailable: the licence is not accepted; or romav2, the weights or DINOv3's code are missing.
+            InputError: the weights are not RoMa v2's.
+        """
+        network = _network(*self.ready(), self.setting)
         with warnings.catch_warnings():
             # It asks for CUDA's half precision by name, and PyTorch says so where there is no CUDA.
             warnings.filterwarnings("ignore", message="CUDA is not available", category=UserWarning)
