@@ -7,8 +7,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.spatial.transform import Rotation
 
 from skymoor.facade import (
     Facade,
@@ -23,6 +21,7 @@ from skymoor.facade import (
 )
 from skymoor.geometry.similarity import Similarity
 from skymoor.ground.matches import photo_matches, wall_matches
+from skymoor.ground.polish import aside, polished
 from skymoor.ground.walls import AirborneWalls, GroundOptions, moved_map
 from skymoor.match import agreement, search_shifts
 from skymoor.register import (
@@ -36,9 +35,6 @@ from skymoor.register import (
     restated,
 )
 from skymoor.types import Array, DepthMap, Matches3D, Progress, Registration, no_progress
-
-GOLDEN = 0.61803
-"""Of a turn: directions that many steps apart fill the circle evenly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,45 +219,22 @@ class _Work:
         """Moved to where all photos together agree best with all walls.
 
         Matches pull each photo's picture of a wall towards the wall, one by one; where walls repeat themselves, or only
-        one is large, that leaves the whole model a little aside. Here it is moved as a whole: position, heading, scale.
+        one is large, that leaves the whole model a little aside. Here it is moved as a whole.
         """
-        options, best = self.options, candidate.enu_from_level
         if not candidate.registration.registered:
             return candidate
-        for size in options.polish_sizes:
-            best = self._best_near(best, size)
+        start, options = candidate.enu_from_level, self.options
+        pivot = start.apply(sight_of(self.maps, rng=self.rng).ends.reshape(-1, 3)).mean(axis=0)
+        best = polished(start, pivot, lambda place: self._agreement(place)[1], options.polish)
         matches = self._matches(best, all_photos=True)
         found = restated(candidate.registration, best, matches, options.register.inlier_m)
         cells = independent_cells(matches.xyz_enu[found.inliers], options.judge.cell_m)
         return self._candidate(candidate.answer, found, best, cells)
 
-    def _best_near(self, start: Similarity, size: float) -> Similarity:
-        """The best place near one, by simplex search with first steps of `size` times those of the options."""
-        options = self.options
-        # About what is seen, so that heading and scale leave the walls where they are.
-        centre = start.apply(sight_of(self.maps, rng=self.rng).ends.reshape(-1, 3)).mean(axis=0)
-        steps = size * np.array([*options.polish_steps_m, np.radians(options.polish_heading_deg), options.polish_scale])
-
-        def place(x: Array) -> Similarity:
-            heading, scale = float(x[3] * steps[3]), float(np.exp(x[4] * steps[4]))
-            turn = Rotation.from_rotvec([0.0, 0.0, heading]).as_matrix()
-            return Similarity(scale, turn, centre + x[:3] * steps[:3] - scale * turn @ centre) @ start
-
-        def cost(x: Array) -> float:
-            return -self._agreement(place(x))[1]
-
-        simplex = np.vstack([np.zeros(5), np.eye(5)])
-        limits = {"initial_simplex": simplex, "maxfev": options.polish_trials, "xatol": 0.05, "fatol": 0.1}
-        return place(minimize(cost, np.zeros(5), method="Nelder-Mead", options=limits).x)
-
     def tested(self, candidate: Candidate) -> Candidate:
         """The candidate with how much better all photos agree with the walls there than a few metres aside."""
-        options = self.options
-        turns = 2 * np.pi * np.arange(options.aside) * GOLDEN
-        lengths = np.linspace(options.aside_min_m, options.aside_max_m, options.aside)
-        shifts = lengths[:, None] * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(options.aside)])
-        moves = [Similarity(1.0, np.eye(3), shift) @ candidate.enu_from_level for shift in shifts]
-        return replace(candidate, scores_aside=tuple(self._agreement(move)[1] for move in moves))
+        places = aside(candidate.enu_from_level, self.options.aside)
+        return replace(candidate, scores_aside=tuple(self._agreement(place)[1] for place in places))
 
     def _round(self, candidate: Candidate, *, all_photos: bool) -> Candidate:
         matches = self._matches(candidate.enu_from_level, all_photos=all_photos)

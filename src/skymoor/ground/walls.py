@@ -26,6 +26,7 @@ from skymoor.facade import (
     surface_of,
 )
 from skymoor.geometry.similarity import Similarity
+from skymoor.ground.polish import AsideOptions, PolishOptions
 from skymoor.match import (
     CyclicOptions,
     DenseMatcher,
@@ -54,11 +55,7 @@ class GroundOptions:
         max_angle_deg, max_gap_m: a ground wall and an airborne wall this close are matched densely.
         finalists: answers that are refined with all that the photos show.
         rounds: of that refinement, each from where the last one ended.
-        polish_trials: places near each of them that are then tried as a whole, in each of as many searches as there are
-        polish_sizes: of the first steps, in units of
-        polish_steps_m, polish_heading_deg, polish_scale: which are east, north and up, in heading, and in the logarithm
-            of the scale.
-        aside, aside_min_m, aside_max_m: so many places around each of them, so far away, say what chance does there.
+        polish, aside: each of them is then moved as a whole, and compared with places around.
         walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register, counterparts, judge: of the
             steps.
     """
@@ -73,14 +70,8 @@ class GroundOptions:
     max_gap_m: float = 1.5
     finalists: int = 4
     rounds: int = 2
-    polish_trials: int = 60
-    polish_sizes: tuple[float, ...] = (2.5, 1.0)
-    polish_steps_m: tuple[float, float, float] = (0.4, 0.4, 0.3)
-    polish_heading_deg: float = 0.6
-    polish_scale: float = 0.01
-    aside: int = 24
-    aside_min_m: float = 1.5
-    aside_max_m: float = 5.0
+    polish: PolishOptions = field(default_factory=PolishOptions)
+    aside: AsideOptions = field(default_factory=AsideOptions)
     walls: WallOptions = field(default_factory=WallOptions)
     airborne_facades: FacadeOptions = field(default_factory=FacadeOptions)
     ground_facades: FacadeOptions = field(default_factory=lambda: FacadeOptions(margin_m=4.0, guess_margin_m=4.0))
