@@ -112,7 +112,7 @@ def _finished(candidates: Sequence[Candidate], work: _Work) -> list[Candidate]:
         if step and step not in rescaled:
             rescaled[step] = work.rescaled(1.1**step)
         own = rescaled[step] if step else work
-        found.append(own.levelled(own.tested(own.polished(own.finished(own.adopted(candidate, work))))))
+        found.append(own.levelled(own.settled(own.tested(own.polished(own.finished(own.adopted(candidate, work)))))))
     return found
 
 
@@ -223,18 +223,41 @@ class _Work:
         """
         if not candidate.registration.registered:
             return candidate
-        start, options = candidate.enu_from_level, self.options
+        start = candidate.enu_from_level
         pivot = start.apply(sight_of(self.maps, rng=self.rng).ends.reshape(-1, 3)).mean(axis=0)
-        best = polished(start, pivot, lambda place: self._agreement(place)[1], options.polish)
-        matches = self._matches(best, all_photos=True)
-        found = restated(candidate.registration, best, matches, options.register.inlier_m)
-        cells = independent_cells(matches.xyz_enu[found.inliers], options.judge.cell_m)
-        return self._candidate(candidate.answer, found, best, cells)
+        best = polished(start, pivot, lambda place: self._agreement(place)[1], self.options.polish)
+        return self._candidate(candidate.answer, candidate.registration, best, candidate.cells)
 
     def tested(self, candidate: Candidate) -> Candidate:
         """The candidate with how much better all photos agree with the walls there than a few metres aside."""
         places = aside(candidate.enu_from_level, self.options.aside)
         return replace(candidate, scores_aside=tuple(self._agreement(place)[1] for place in places))
+
+    def settled(self, candidate: Candidate) -> Candidate:
+        """The candidate as its matches fit it best; what says whether it is believed stays.
+
+        The highest agreement is at the right place to a few decimetres; from there matches are the more exact.
+        """
+        current = candidate
+        for _ in range(self.options.rounds):
+            current = self._round(current, all_photos=True)
+            if not current.registration.registered or current.score < self.options.min_kept * candidate.score:
+                return self._as_it_is(candidate)
+        return replace(
+            candidate,
+            enu_from_level=current.enu_from_level,
+            registration=current.registration,
+            height_m=current.height_m,
+            blocked=current.blocked,
+            cells=current.cells,
+        )
+
+    def _as_it_is(self, candidate: Candidate) -> Candidate:
+        """The candidate where it is, with what matches say of that."""
+        matches, placed = self._matches(candidate.enu_from_level, all_photos=True), candidate.enu_from_level
+        found = restated(candidate.registration, placed, matches, self.options.register.inlier_m)
+        cells = independent_cells(matches.xyz_enu[found.inliers], self.options.judge.cell_m)
+        return replace(candidate, registration=found, cells=cells)
 
     def _round(self, candidate: Candidate, *, all_photos: bool) -> Candidate:
         matches = self._matches(candidate.enu_from_level, all_photos=all_photos)

@@ -56,6 +56,7 @@ class GroundOptions:
         finalists: answers that are refined with all that the photos show.
         rounds: of that refinement, each from where the last one ended.
         polish, aside: each of them is then moved as a whole, and compared with places around.
+        min_kept: of that agreement, while matches have the last word about where it is.
         walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register, counterparts, judge: of the
             steps.
     """
@@ -70,6 +71,7 @@ class GroundOptions:
     max_gap_m: float = 1.5
     finalists: int = 4
     rounds: int = 2
+    min_kept: float = 0.7
     polish: PolishOptions = field(default_factory=PolishOptions)
     aside: AsideOptions = field(default_factory=AsideOptions)
     walls: WallOptions = field(default_factory=WallOptions)
