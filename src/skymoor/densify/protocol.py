@@ -20,3 +20,10 @@ class MonocularDepth(Protocol):
 
     def __call__(self, image: Image) -> Array32:
         """Relative depth (h, w) of an image (h, w, 3): larger is farther; scale and zero are unknown."""
+
+
+class MetricDepth(Protocol):
+    """Depth in metres from a single photo, as far as one can tell."""
+
+    def __call__(self, image: Image, focal_px: float) -> Array32:
+        """z-depth (h, w) in metres of an image (h, w, 3) without distortion, NaN where nothing is said."""

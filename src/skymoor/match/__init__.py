@@ -2,6 +2,7 @@
 """Two pictures of one place, from different worlds, to pairs of pixels."""
 
 from skymoor.match._aliked import AlikedMatcher
+from skymoor.match._anyloc import AnyLocRetriever
 from skymoor.match._loftr import LoftrMatcher
 from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
 from skymoor.match._romav2 import RomaV2Matcher
@@ -9,12 +10,13 @@ from skymoor.match.align import lay, match_placed
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
 from skymoor.match.engines import MatcherOptions
 from skymoor.match.facade import Drift, FacadeSearchOptions, Shift, agreement, drift, search_shifts
-from skymoor.match.protocol import DenseMatcher
+from skymoor.match.protocol import DenseMatcher, Retriever
 from skymoor.match.search import Placement, SearchOptions, search_placements
 from skymoor.match.structural import StructuralMatcher
 
 __all__ = [
     "AlikedMatcher",
+    "AnyLocRetriever",
     "CyclicOptions",
     "DenseMatcher",
     "Drift",
@@ -22,6 +24,7 @@ __all__ = [
     "LoftrMatcher",
     "MatcherOptions",
     "Placement",
+    "Retriever",
     "RomaMatcher",
     "RomaV2Matcher",
     "SearchOptions",

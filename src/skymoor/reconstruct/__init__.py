@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Photos to components: structure from motion from nothing but pixels."""
 
+from skymoor.reconstruct._dedode import DedodeDetector
+from skymoor.reconstruct._dedode_roma import DedodeRomaMatcher, DenseWarp, KeypointDetector
+from skymoor.reconstruct._doppelgangers import DoppelgangerClassifier
 from skymoor.reconstruct._sift import SiftMatcher
 from skymoor.reconstruct.calibration import with_focal
 from skymoor.reconstruct.doppelgangers import ConflictFilter
@@ -10,6 +13,11 @@ from skymoor.reconstruct.protocol import PairFilter, PairMatcher, ViewGraph
 
 __all__ = [
     "ConflictFilter",
+    "DedodeDetector",
+    "DedodeRomaMatcher",
+    "DenseWarp",
+    "DoppelgangerClassifier",
+    "KeypointDetector",
     "LensOptions",
     "PairFilter",
     "PairMatcher",

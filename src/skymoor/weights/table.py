@@ -104,7 +104,7 @@ _MATCHERS = (
     ),
     Weights(
         "loftr",
-        "LoftrMatcher; also what Doppelgangers looks at",
+        "LoftrMatcher: matches without key points",
         (WeightFile("loftr_outdoor.ckpt", "https://cmp.felk.cvut.cz/~mishkdmy/models/loftr_outdoor.ckpt", 46),),
         "Apache-2.0",
         "Apache-2.0",
@@ -150,18 +150,18 @@ _MATCHERS = (
 _STRUCTURE = (
     Weights(
         "dedode-b",
-        "DeDoDe detections L and descriptions B: the paper's points for structure from motion",
+        "DedodeDetector: the paper's points for structure from motion; DeDoDe L and B",
         (
             WeightFile("dedode_detector_L.pth", f"{_DEDODE}dedode_detector_L.pth", 58),
             WeightFile("dedode_descriptor_B.pth", f"{_DEDODE}dedode_descriptor_B.pth", 54),
         ),
         "MIT",
         "MIT",
-        "with RoMa's matches the detector is enough",
+        "DedodeRomaMatcher reads the detector alone, and takes the matches from RoMa",
     ),
     Weights(
         "dedode-g",
-        "DeDoDe detections L and descriptions G",
+        "DeDoDe L and G",
         (
             WeightFile("dedode_detector_L.pth", f"{_DEDODE}dedode_detector_L.pth", 58),
             WeightFile("dedode_descriptor_G.pth", f"{_DEDODE}dedode_descriptor_G.pth", None),
@@ -169,35 +169,43 @@ _STRUCTURE = (
         ),
         "MIT",
         "MIT; DINOv2 Apache-2.0",
+        "no engine of skymoor reads it yet",
     ),
     Weights(
         "doppelgangers",
-        "the paper's filter of photo pairs that only look alike",
+        "DoppelgangerClassifier: the paper's filter of photo pairs that only look alike",
         (WeightFile("checkpoint.tar.gz", "https://doppelgangers.cs.cornell.edu/dataset/checkpoint.tar.gz", None),),
         "MIT",
         "MIT",
-        "unpack doppelgangers_classifier_loftr.pt (45 MB) from it; needs loftr too",
+        "unpack doppelgangers_classifier_loftr.pt (45 MB) from it into the same folder",
     ),
 )
 
 _LABELS_AND_DEPTHS = (
     Weights(
         "oneformer",
-        "OneFormer, ADE20K, Swin-L: the paper's ground labels",
+        "OneFormerLabeler: OneFormer, ADE20K, Swin-L; the paper's ground labels",
         (_repository("shi-labs/oneformer_ade20k_swin_large", 880, ("*.pth",)), _CLASSES),
         "MIT; transformers Apache-2.0",
         "MIT",
     ),
     Weights(
         "oneformer-tiny",
-        "OneFormer, ADE20K, Swin-T: lighter ground labels",
+        "OneFormerLabeler: OneFormer, ADE20K, Swin-T; lighter ground labels",
         (_repository("shi-labs/oneformer_ade20k_swin_tiny", 203, ("*.pth",)), _CLASSES),
         "MIT; transformers Apache-2.0",
         "MIT",
     ),
     Weights(
+        "upernet-tiny",
+        "SemanticLabeler: UperNet on ConvNeXt-T, ADE20K; ground labels without a transformer",
+        (_repository("openmmlab/upernet-convnext-tiny", 241),),
+        "Apache-2.0",
+        "MIT",
+    ),
+    Weights(
         "marigold",
-        "Marigold v1-1: the paper's relative depth of single photos",
+        "MarigoldDepth: Marigold v1-1; the paper's relative depth of single photos",
         (_repository("prs-eth/marigold-depth-v1-1", 5000, ("*.fp16.*",)),),
         "Apache-2.0",
         "OpenRAIL++-M",
@@ -205,7 +213,7 @@ _LABELS_AND_DEPTHS = (
     ),
     Weights(
         "depth-anything-small",
-        "Depth Anything v2 small: relative depth of single photos, for CPUs",
+        "DepthAnythingDepth: v2 small; relative depth of single photos, for CPUs",
         (_repository("depth-anything/Depth-Anything-V2-Small-hf", 97, ("*.pth",)),),
         "Apache-2.0",
         "Apache-2.0",
@@ -213,7 +221,7 @@ _LABELS_AND_DEPTHS = (
     ),
     Weights(
         "metric-depth-small",
-        "Depth Anything v2 small, metric, outdoors: depth in metres of single photos",
+        "MetricDepthNetwork: Depth Anything v2 small, outdoors; depth in metres of single photos",
         (_repository("depth-anything/Depth-Anything-V2-Metric-Outdoor-Small-hf", 99),),
         "Apache-2.0",
         "not stated on its page: check",
@@ -223,7 +231,7 @@ _LABELS_AND_DEPTHS = (
 _RETRIEVAL = (
     Weights(
         "dinov2-giant",
-        "AnyLoc's DINOv2: the paper's look for tiles",
+        "AnyLocRetriever: DINOv2 giant; the paper's look for tiles",
         (_repository("facebook/dinov2-giant", 4500, ("*.bin",)),),
         "Apache-2.0",
         "Apache-2.0",
@@ -231,7 +239,7 @@ _RETRIEVAL = (
     ),
     Weights(
         "dinov2-small",
-        "AnyLoc with a small DINOv2, for CPUs",
+        "AnyLocRetriever: DINOv2 small, for CPUs",
         (_repository("facebook/dinov2-small", 86, ("*.bin",)),),
         "Apache-2.0",
         "Apache-2.0",

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Marigold, the paper's depth of single photos, through the library diffusers.
+
+Ke et al., Repurposing Diffusion-Based Image Generators for Monocular Depth Estimation, CVPR 2024.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skymoor.densify.protocol import MonocularDepth
+from skymoor.errors import InputError
+from skymoor.optional import require, torch_device
+from skymoor.types import Array32, Image
+from skymoor.weights import find
+from skymoor.weights.repository import describes, open_model, reading
+
+
+@dataclass(frozen=True)
+class MarigoldDepth:
+    """Affine depth by denoising: minutes per photo on a CPU.
+
+    Attributes:
+        weights: folder of the model; empty for where `skymoor weights fetch marigold` puts it.
+        device: "auto", "cpu" or "cuda"; half precision on CUDA only.
+        side_px: long side at which a photo is looked at; the answer has the photo's own size.
+        steps: of denoising; 0 for the model's own number.
+        ensemble: so many answers are aligned and their median taken.
+        seed: of the noise.
+    """
+
+    weights: str = ""
+    device: str = "auto"
+    side_px: int = 768
+    steps: int = 0
+    ensemble: int = 1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.side_px < 64 or self.steps < 0 or self.ensemble < 1:
+            raise InputError(
+                f"side_px = {self.side_px}, steps = {self.steps}, ensemble = {self.ensemble}: 64, 0 and 1 at least"
+            )
+
+    def __call__(self, image: Image) -> Array32:
+        """Depth (h, w) from 0, nearest, to 1, farthest; see `MonocularDepth`.
+
+        Raises:
+            BackendUnavailable: diffusers, transformers or the weights are missing.
+            InputError: the folder holds no Marigold for depth, or not all of it.
+        """
+        device = torch_device(self.device)
+        require("transformers", "marigold")
+        require("diffusers", "marigold")
+        pipeline = _pipeline(find("marigold", "model", self.weights), device)
+        import torch
+        from PIL import Image as Pictures
+
+        found = pipeline(
+            Pictures.fromarray(image),
+            num_inference_steps=self.steps or None,
+            ensemble_size=self.ensemble,
+            processing_resolution=min(self.side_px, max(image.shape[:2])),
+            generator=torch.Generator(device).manual_seed(self.seed),
+        )
+        return np.asarray(found.prediction[0, :, :, 0], np.float32)
+
+
+_: type[MonocularDepth] = MarigoldDepth
+
+
+@lru_cache(maxsize=1)
+def _pipeline(folder: Path, device: str) -> Any:
+    diffusers, transformers = require("diffusers", "marigold"), require("transformers", "marigold")
+    import torch
+
+    index = describes(folder, "model_index.json")
+    kind = index.get("_class_name")
+    if kind != "MarigoldDepthPipeline" or index.get("prediction_type") not in (None, "depth"):
+        raise InputError(f"{folder}: holds a {kind}, not a MarigoldDepthPipeline; is it the right one?")
+    dtype = torch.float16 if device == "cuda" else torch.float32
+    # The pipeline would read its parts itself, and fill with random numbers what they lack.
+    safe: dict[str, Any] = {"dtype": dtype, "use_safetensors": True}
+    unet = open_model(diffusers.UNet2DConditionModel, folder / "unet", ("UNet2DConditionModel",), **safe)
+    vae = open_model(diffusers.AutoencoderKL, folder / "vae", ("AutoencoderKL",), **safe)
+    words = open_model(transformers.CLIPTextModel, folder / "text_encoder", (), **safe)
+    with reading(folder):
+        pipeline = diffusers.MarigoldDepthPipeline.from_pretrained(
+            folder, unet=unet, vae=vae, text_encoder=words, local_files_only=True, dtype=dtype
+        )
+    pipeline.set_progress_bar_config(disable=True)
+    return pipeline.to(device)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How many metres a unit of a model is, by what single photos say about distances (paper, section 5, tile size)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skymoor.errors import TooFewMatches
+from skymoor.types import Array, Array32, DepthMap
+
+MAD = 1.4826  # of a normal distribution's standard deviation and its median absolute deviation
+MEDIAN = 1.2533  # and of the errors of a median and a mean
+
+
+@dataclass(frozen=True, eq=False)
+class MetricScale:
+    """Metres per unit of the depth maps, its relative standard deviation, and the ratio of each photo that had one."""
+
+    metres_per_unit: float
+    sigma_ratio: float
+    per_photo: Array
+
+
+def scale_from_metric_depth(
+    maps: Sequence[DepthMap],
+    metres: Sequence[Array32],
+    *,
+    max_sigma_ratio: float = 0.05,
+    min_pixels: int = 200,
+    min_photos: int = 3,
+    common_sigma_ratio: float = 0.15,
+) -> MetricScale:
+    """The scale that makes depth maps agree with metric depths of the same pictures.
+
+    In each photo the median ratio over the pixels counts, and over the photos the median of those: a network may be
+    wrong about parts of a photo, and about whole photos.
+
+    Args:
+        maps: measured depths, in any unit that all share.
+        metres: what a `MetricDepth` says about each map's picture, (h, w) each, NaN where nothing.
+        max_sigma_ratio: less certain depths are left out.
+        min_pixels: photos with fewer common pixels are left out.
+        min_photos: fewer photos give no scale.
+        common_sigma_ratio: by which all of a network's answers may be wrong alike: their spread does not show that.
+
+    Raises:
+        TooFewMatches: too few photos have depths of both kinds.
+    """
+    logs = []
+    for depth_map, metric in zip(maps, metres, strict=True):
+        with np.errstate(invalid="ignore"):
+            good = (depth_map.sigma < max_sigma_ratio * depth_map.depth) & (depth_map.depth > 0) & (metric > 0)
+        if np.count_nonzero(good) >= min_pixels:
+            logs.append(float(np.median(np.log(metric[good].astype(np.float64) / depth_map.depth[good]))))
+    if len(logs) < min_photos:
+        raise TooFewMatches(f"{len(logs)} of {len(maps)} photos have depths in metres and measured ones: no scale")
+    per_photo = np.array(logs)
+    middle = float(np.median(per_photo))
+    spread = MAD * float(np.median(np.abs(per_photo - middle)))
+    sigma = float(np.hypot(MEDIAN * spread / np.sqrt(len(logs)), common_sigma_ratio))
+    return MetricScale(float(np.exp(middle)), sigma, np.exp(per_photo))

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What segmentation networks call the ground, and how a photo is given to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from skymoor.errors import InputError
+from skymoor.types import Image, Mask
+
+# As ADE20K, Cityscapes and COCO call it. Steps, bridges and slopes are left out: they are not level, or not low.
+GROUND_NAMES = {
+    *("road", "route", "street", "crosswalk", "lane marking", "sidewalk", "pavement", "path", "alley", "runway"),
+    *("parking", "parking lot", "dirt track", "dirt road", "rail track", "field", "playingfield", "lawn", "grass"),
+    *("earth", "ground", "soil", "land", "terrain", "dirt", "gravel", "sand", "beach", "mud", "floor", "flooring"),
+    *("water", "sea", "ocean", "river", "lake", "pond", "swimming pool"),
+}
+
+
+def ground_ids(names: Mapping[int, str], folder: Path) -> list[int]:
+    """Numbers of the classes that are ground, by their names.
+
+    A name may be a list of words that mean the same ("road, route"), or have a remark behind a hyphen ("water-other").
+    Whole words count: a waterfall and a grasshopper are no ground.
+
+    Args:
+        names: of the classes, by number.
+        folder: of the model, for the error.
+
+    Raises:
+        InputError: no class is ground.
+    """
+    ids = [int(k) for k, name in names.items() if GROUND_NAMES & {_plain(word) for word in name.split(",")}]
+    if not ids:
+        some = ", ".join(list(names.values())[:3])
+        raise InputError(f"{folder}: none of its classes ({some}, ...) is ground; take a model trained on ADE20K")
+    return ids
+
+
+def ground_of(labels: np.ndarray[tuple[int, ...], np.dtype[np.int64]], ids: list[int], image: Image) -> Mask:
+    """Whether pixels are of these classes: labels (h', w') of a reduced photo, at the size (h, w) of the photo."""
+    ground = np.isin(labels, ids).astype(np.uint8)
+    h, w = image.shape[:2]
+    return np.asarray(cv2.resize(ground, (w, h), interpolation=cv2.INTER_NEAREST) > 0)
+
+
+def small(image: Image, side_px: int) -> Image:
+    """A photo reduced to this long side, never enlarged."""
+    h, w = image.shape[:2]
+    ratio = side_px / max(h, w)
+    if ratio >= 1:
+        return image
+    size = (max(1, round(w * ratio)), max(1, round(h * ratio)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _plain(word: str) -> str:
+    return word.split("-")[0].strip().lower().replace("_", " ")

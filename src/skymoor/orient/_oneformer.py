@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OneFormer, the paper's ground labels, through the library transformers.
+
+Jain et al., OneFormer: One Transformer to Rule Universal Image Segmentation, CVPR 2023.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from skymoor.errors import InputError
+from skymoor.optional import require, torch_device
+from skymoor.orient._classes import ground_ids, ground_of, small
+from skymoor.orient.protocol import GroundLabeler
+from skymoor.types import Image, Mask
+from skymoor.weights import find
+from skymoor.weights.repository import describes, open_model, reading
+
+
+@dataclass(frozen=True)
+class OneFormerLabeler:
+    """The semantic task of OneFormer; all classes that are ground by their names are joined.
+
+    Attributes:
+        weights: folder of a model with a Swin backbone, such as those trained on ADE20K; empty for where
+            `skymoor weights fetch oneformer` puts it. The list of its classes may lie in it or beside it.
+        device: "auto", "cpu" or "cuda".
+        side_px: long side to which photos are reduced; memory grows with its square times the number of classes.
+    """
+
+    weights: str = ""
+    device: str = "auto"
+    side_px: int = 1024
+
+    def __call__(self, image: Image) -> Mask:
+        """Ground-like pixels (h, w) of a photo (h, w, 3); see `GroundLabeler`.
+
+        Raises:
+            BackendUnavailable: transformers or the weights are missing.
+            InputError: the folder holds no OneFormer, not all of it, or none whose classes have ground among them.
+        """
+        device = torch_device(self.device)
+        require("transformers", "transformers")
+        folder = find("oneformer", "model", self.weights)
+        processor, network = _network(folder, device)
+        ids = ground_ids(network.config.id2label, folder)
+        import torch
+        from PIL import Image as Pictures
+
+        photo = small(image, self.side_px)
+        given = processor(images=Pictures.fromarray(photo), task_inputs=["semantic"], return_tensors="pt").to(device)
+        with torch.inference_mode():
+            found = network(**given)
+            (labels,) = processor.post_process_semantic_segmentation(found, target_sizes=[photo.shape[:2]])
+        return ground_of(labels.cpu().numpy(), ids, image)
+
+
+_: type[GroundLabeler] = OneFormerLabeler
+
+
+@lru_cache(maxsize=1)
+def _network(folder: Path, device: str) -> tuple[Any, Any]:
+    transformers = require("transformers", "transformers")
+    # What training compares photos with, sentences, is left out.
+    network = open_model(transformers.OneFormerForUniversalSegmentation, folder, ("oneformer",), is_training=False)
+    home = _home_of_classes(folder)
+    with reading(folder):
+        processor = transformers.OneFormerProcessor.from_pretrained(
+            folder, repo_path=str(home), local_files_only=True, trust_remote_code=False
+        )
+    return processor, network.to(device)
+
+
+def _home_of_classes(folder: Path) -> Path:
+    """Where the list of classes lies: unless it is told, the library asks the hub for it."""
+    file = _image_part(folder).get("class_info_file", "ade20k_panoptic.json")
+    for home in (folder, folder.parent):
+        if (home / file).is_file():
+            describes(home, file)
+            return home
+    raise InputError(f"{folder}: the list of classes {file} is missing; put it into the folder")
+
+
+def _image_part(folder: Path) -> dict[str, Any]:
+    """How photos are prepared: a file of its own, or a part of the one that newer versions of the library write."""
+    if (folder / "preprocessor_config.json").is_file():
+        return describes(folder, "preprocessor_config.json")
+    part = describes(folder, "processor_config.json").get("image_processor", {})
+    return part if isinstance(part, dict) else {}

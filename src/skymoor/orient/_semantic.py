@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lighter ground labels: any semantic segmentation of the library transformers, on a CPU.
+
+The weights that `skymoor weights fetch upernet-tiny` gets are UperNet's (Xiao et al., ECCV 2018) on a tiny ConvNeXt
+(Liu et al., CVPR 2022), trained on ADE20K: their licence allows every use, which SegFormer's does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from skymoor.optional import require, torch_device
+from skymoor.orient._classes import ground_ids, ground_of, small
+from skymoor.orient.protocol import GroundLabeler
+from skymoor.types import Image, Mask
+from skymoor.weights import find
+from skymoor.weights.repository import open_model, reading
+
+
+@dataclass(frozen=True)
+class SemanticLabeler:
+    """All classes that are ground by their names, joined.
+
+    Attributes:
+        weights: folder of a model for semantic segmentation: UperNet, BEiT, DPT, SegFormer or another; empty for where
+            `skymoor weights fetch upernet-tiny` puts one.
+        device: "auto", "cpu" or "cuda".
+        side_px: long side to which photos are reduced; memory grows with its square times the number of classes.
+    """
+
+    weights: str = ""
+    device: str = "auto"
+    side_px: int = 1024
+
+    def __call__(self, image: Image) -> Mask:
+        """Ground-like pixels (h, w) of a photo (h, w, 3); see `GroundLabeler`.
+
+        Raises:
+            BackendUnavailable: transformers or the weights are missing.
+            InputError: the folder holds no such model, not all of it, or none whose classes have ground among them.
+        """
+        device = torch_device(self.device)
+        require("transformers", "transformers")
+        folder = find("upernet-tiny", "model", self.weights)
+        processor, network = _network(folder, device)
+        ids = ground_ids(network.config.id2label, folder)
+        import torch
+        from PIL import Image as Pictures
+
+        photo = small(image, self.side_px)
+        given = processor(images=Pictures.fromarray(photo), return_tensors="pt").to(device)
+        with torch.inference_mode():
+            found = network(**given)
+            (labels,) = processor.post_process_semantic_segmentation(found, target_sizes=[photo.shape[:2]])
+        return ground_of(labels.cpu().numpy(), ids, image)
+
+
+_: type[GroundLabeler] = SemanticLabeler
+
+
+@lru_cache(maxsize=1)
+def _network(folder: Path, device: str) -> tuple[Any, Any]:
+    transformers = require("transformers", "transformers")
+    network = open_model(transformers.AutoModelForSemanticSegmentation, folder, ())
+    with reading(folder):
+        processor = transformers.AutoImageProcessor.from_pretrained(
+            folder, local_files_only=True, trust_remote_code=False
+        )
+    return processor, network.to(device)

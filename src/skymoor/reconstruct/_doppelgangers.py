@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's filter of photo pairs that only look alike: a network that has seen many such pairs.
+
+Cai et al., Doppelgangers: Learning to Disambiguate Images of Similar Structures, ICCV 2023.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from skymoor.errors import InputError
+from skymoor.optional import torch_device
+from skymoor.reconstruct.protocol import PairFilter, ViewGraph
+from skymoor.types import Array, Array32, Image
+from skymoor.weights import find, load_into, load_state_dict
+
+MULTIPLE = 8  # of the sides of a reduced photo
+WARP_PX = 20.0  # what the affinity between two photos may leave
+
+
+@dataclass(frozen=True)
+class DoppelgangerClassifier:
+    """Keeps the pairs that the network takes for two photos of one place.
+
+    What could not be verified without the trained weights: that the published file has the names of tensors expected
+    here, holds nothing but numbers beside them, and what the network reaches. It has been trained with all matches of
+    LoFTR and their confidences. Here it gets the matches of the view graph, which have passed the geometric test
+    already and have no confidence: it is taken for 1. Denser matchers come closer to what it knows than SIFT.
+
+    Attributes:
+        weights: path of doppelgangers_classifier_loftr.pt; empty for where `skymoor weights fetch doppelgangers` goes,
+            where it is unpacked by hand.
+        device: "auto", "cpu" or "cuda".
+        min_probability: of showing the same place, for a pair to be kept.
+        side_px: long side to which photos are reduced; the network's own is 1024.
+    """
+
+    weights: str = ""
+    device: str = "auto"
+    min_probability: float = 0.8
+    side_px: int = 1024
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.min_probability <= 1 or self.side_px < 64:
+            raise InputError(
+                f"min_probability = {self.min_probability}, side_px = {self.side_px}: from 0 to 1, and 64 at least"
+            )
+
+    def __call__(self, graph: ViewGraph) -> list[int]:
+        """Rows of `graph.pairs` to keep; see `PairFilter`.
+
+        Raises:
+            BackendUnavailable: the weights are missing.
+            InputError: the weights are not those of this network.
+        """
+        probabilities = self.probabilities(graph)
+        return [k for k, probability in enumerate(probabilities) if probability >= self.min_probability]
+
+    def probabilities(self, graph: ViewGraph) -> Array:
+        """Of showing the same place, (n pairs,); errors as of a call."""
+        device = torch_device(self.device)
+        name = "doppelgangers_classifier_loftr.pt"
+        network = _network(find("doppelgangers", name, self.weights), device)
+
+        @lru_cache(maxsize=32)
+        def photo(index: int) -> tuple[Image, Array]:
+            return _reduced(graph.photos.read(graph.photos.names[index]), self.side_px)
+
+        found = []
+        for (i, j), matches in zip(graph.pairs, graph.matches, strict=True):
+            layers = pair_layers(photo(i), photo(j), matches, self.side_px)
+            with torch.inference_mode():
+                scores = network(torch.from_numpy(layers)[None].to(device))
+            found.append(float(torch.softmax(scores[0].float().cpu(), dim=0)[1]))
+        return np.array(found)
+
+
+_: type[PairFilter] = DoppelgangerClassifier
+
+
+class Classifier(nn.Module):
+    """Three stages of two residual blocks on ten layers; two scores: another place, the same place."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(10, 128, 7, stride=2, padding=3, bias=False)
+        self.bn1 = nn.BatchNorm2d(128)
+        self.layer1 = nn.Sequential(_Block(128, 128, 2), _Block(128, 128, 1))
+        self.layer2 = nn.Sequential(_Block(128, 256, 2), _Block(256, 256, 1))
+        self.layer3 = nn.Sequential(_Block(256, 512, 2), _Block(512, 512, 1))
+        self.fc = nn.Linear(512, 2)
+
+    def forward(self, layers: Tensor) -> Tensor:
+        """Scores (n, 2) of layers (n, 10, side, side)."""
+        x = torch.relu(self.bn1(self.conv1(layers)))
+        x = self.layer3(self.layer2(self.layer1(x)))
+        scores: Tensor = self.fc(x.mean(dim=(2, 3)))
+        return scores
+
+
+class _Block(nn.Module):
+    """He et al., Deep residual learning, CVPR 2016: two convolutions and a way past them."""
+
+    def __init__(self, before: int, after: int, stride: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(before, after, 3, stride=stride, padding=1, bias=False)
+        self.bn1 = nn.BatchNorm2d(after)
+        self.conv2 = nn.Conv2d(after, after, 3, padding=1, bias=False)
+        self.bn2 = nn.BatchNorm2d(after)
+        shortcut = [nn.Conv2d(before, after, 1, stride=stride, bias=False), nn.BatchNorm2d(after)]
+        self.downsample = nn.Sequential(*(shortcut if stride > 1 else []))
+
+    def forward(self, x: Tensor) -> Tensor:
+        y = self.bn2(self.conv2(torch.relu(self.bn1(self.conv1(x)))))
+        return torch.relu(self.downsample(x) + y)
+
+
+def pair_layers(first: tuple[Image, Array], second: tuple[Image, Array], matches: Array, side_px: int) -> Array32:
+    """What the network looks at, (10, side_px, side_px).
+
+    Args:
+        first, second: reduced photos (h, w, 3), and by how much (2,) pixels of the whole photo are multiplied.
+        matches: (m, 4) pixels of the whole photos.
+        side_px: the reduced photos' long side.
+
+    Returns:
+        where the matches are in the first photo, with their confidence, and again those that fit an epipolar geometry;
+        the same of the second; the second photo; and the first, laid on the second. Colours are blue, green, red. The
+        first photo and its matches are laid by the similarity that most matches agree with, if there is one.
+    """
+    px_a, px_b = matches[:, :2] * first[1], matches[:, 2:] * second[1]
+    to_b = None
+    if len(matches) >= 3:
+        to_b, _ = cv2.estimateAffinePartial2D(px_a, px_b, method=cv2.RANSAC, ransacReprojThreshold=WARP_PX)
+    lay = np.eye(2, 3) if to_b is None else np.asarray(to_b, np.float64)
+    layers = np.zeros((10, side_px, side_px), np.float32)
+    dots_a, dots_b = (_dots(px, side_px) for px in (px_a @ lay[:, :2].T + lay[:, 2], px_b))
+    # The matches of a view graph are those that fit: both kinds are the same.
+    layers[:2], layers[2:4] = dots_a, dots_b
+    # OpenCV's centre of the first pixel is (0, 0).
+    half = lay[:, :2] @ [0.5, 0.5] - 0.5
+    laid = cv2.warpAffine(first[0], lay + np.column_stack([np.zeros((2, 2)), half]), (side_px, side_px))
+    h, w = second[0].shape[:2]
+    layers[4:7, :h, :w] = np.moveaxis(second[0][..., ::-1], -1, 0) / np.float32(255)
+    layers[7:] = np.moveaxis(laid[..., ::-1], -1, 0) / np.float32(255)
+    return layers
+
+
+def _dots(px: Array, side_px: int) -> Array32:
+    """A picture that is 1 in the pixels where points (n, 2) lie."""
+    dots = np.zeros((side_px, side_px), np.float32)
+    column, row = np.floor(px[((px >= 0) & (px < side_px)).all(axis=1)]).astype(np.intp).T
+    dots[row, column] = 1
+    return dots
+
+
+def _reduced(image: Image, side_px: int) -> tuple[Image, Array]:
+    """A photo with this long side, both sides multiples of eight; and by how much its pixels are multiplied."""
+    h, w = image.shape[:2]
+    ratio = side_px / max(h, w)
+    size = [max(MULTIPLE, round(side * ratio) // MULTIPLE * MULTIPLE) for side in (w, h)]
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA if ratio < 1 else cv2.INTER_LINEAR)
+    return np.asarray(small, np.uint8), np.array(size) / [w, h]
+
+
+@lru_cache(maxsize=1)
+def _network(weights: Path, device: str) -> Classifier:
+    network = Classifier()
+    # It has been saved from several GPUs, which puts a word before each name.
+    spread = all(name.startswith("module.") for name in load_state_dict(weights, part="dec"))
+    load_into(nn.ModuleDict({"module": network}) if spread else network, weights, part="dec")
+    return network.to(device).eval()
