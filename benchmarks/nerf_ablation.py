@@ -35,6 +35,8 @@ from skymoor.simulate.mesh import Label
 from skymoor.simulate.site import Site, true_enu_from_sfm
 from skymoor.types import Array32, DepthMap
 
+COARSE = 2.0  # rendered pixels per pixel of the photos: a quarter of the rays says as much
+
 
 @dataclass(frozen=True)
 class Case:
@@ -86,8 +88,8 @@ def main() -> None:
         with flat:
             model = case.builder(None, used, monocular=order, report=lambda found, told=told: told.append(dict(found)))  # type: ignore[arg-type,misc]
         row: dict[str, Any] = {"case": case.name, "psnr_db": told[-1]["psnr_db"] if told else None}
-        obliques = oblique_views(model.surface_points, model.pixel)
-        views = {"nadir": nadir_view(model.surface_points, model.pixel), "north": obliques[0], "east": obliques[2]}
+        obliques = oblique_views(model.surface_points, COARSE * model.pixel)
+        views = {"nadir": nadir_view(model.surface_points, COARSE * model.pixel), "north": obliques[0], "east": obliques[2]}
         for name, view in views.items():
             render = model.render(view)
             error, _, label = compare(render, view, scene, enu_from_level, truth["options"]["radius_m"])

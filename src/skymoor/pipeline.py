@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from skymoor.render import nadir_view
 from skymoor.settings import Options
 from skymoor.store import Store
 from skymoor.types import (
+    Array32,
     Camera,
     Component,
     DepthMap,
@@ -190,13 +192,39 @@ def densify_component(
 
 
 def _model(name: str, level: Component, depths: Sequence[DepthMap], job: Job) -> SceneModel:
-    builder = job.options.model.builder
+    options, builder = job.options.model, job.options.model.builder
+    after = [f"{name}.depths"]
+    if options.ranking is not None:
+        builder = partial(options.nerf, monocular=_single_photo_depths(name, depths, job))
+        after.append(f"{name}.monocular")
     return job.store.stage(
         f"{name}.model",
         lambda: builder(level, depths, progress=job.track("model"), checkpoint=job.store.scratch(f"{name}.model")),
-        options=builder,
-        after=[f"{name}.depths"],
+        options=options.builder,
+        after=after,
         code=[skymoor.model, "skymoor.raycast"],
+    )
+
+
+def _single_photo_depths(name: str, depths: Sequence[DepthMap], job: Job) -> list[Array32]:
+    """Relative depths of the photos of depth maps."""
+    engine = job.options.model.ranking
+    assert engine is not None
+    progress = job.track(f"{name}: depths of single photos")
+
+    def compute() -> list[Array32]:
+        found = []
+        for depth_map in depths:
+            found.append(engine(depth_map.rgb))
+            progress(len(found), len(depths))
+        return found
+
+    return job.store.stage(
+        f"{name}.monocular",
+        compute,
+        options=(engine, [str(path) for path in engine.ready()]),
+        after=[f"{name}.depths"],
+        code=[skymoor.densify],
     )
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from skymoor.densify import SgmDepth
+from skymoor.densify import DepthAnythingDepth, MarigoldDepth, SgmDepth
 from skymoor.ground import GroundOptions, JointOptions
 from skymoor.lift import LiftOptions
 from skymoor.match import CyclicOptions, MatcherOptions, SearchOptions
@@ -45,17 +45,29 @@ class ModelOptions:
     Attributes:
         kind: "mesh" for fused depth maps, which takes seconds; "nerf" for the radiance field, which takes minutes, is
             closer to the surface and knows better where it is not.
-        nerf, mesh: how each is built.
+        monocular: engine whose depths of single photos rank the depths of the radiance field, where photos measure
+            none: "none", "marigold" (the paper's) or "depth_anything" (lighter).
+        nerf, mesh, marigold, depth_anything: how each is set up.
     """
 
     kind: Literal["mesh", "nerf"] = "mesh"
+    monocular: Literal["none", "marigold", "depth_anything"] = "none"
     nerf: NerfBuilder = field(default_factory=NerfBuilder)
     mesh: MeshBuilder = field(default_factory=MeshBuilder)
+    marigold: MarigoldDepth = field(default_factory=MarigoldDepth)
+    depth_anything: DepthAnythingDepth = field(default_factory=DepthAnythingDepth)
 
     @property
     def builder(self) -> SceneBuilder:
         """The chosen one."""
         return self.nerf if self.kind == "nerf" else self.mesh
+
+    @property
+    def ranking(self) -> MarigoldDepth | DepthAnythingDepth | None:
+        """What ranks depths; None where nothing does."""
+        if self.kind != "nerf" or self.monocular == "none":
+            return None
+        return self.marigold if self.monocular == "marigold" else self.depth_anything
 
 
 @dataclass(frozen=True)
@@ -108,5 +120,7 @@ def check_engines(options: Options) -> None:
         InputError: nothing is where weights are said to be.
     """
     options.match.dense.ready()
+    if options.model.ranking is not None:
+        options.model.ranking.ready()
     if options.ground.method != "walls":
         options.ground.matcher.ready()

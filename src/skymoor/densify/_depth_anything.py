@@ -36,6 +36,11 @@ class DepthAnythingDepth:
     weights: str = ""
     device: str = "auto"
 
+    def ready(self) -> tuple[Path, ...]:
+        """The folder that will be read; see `__call__` for what is raised where something is missing."""
+        require("transformers", "transformers")
+        return (find("depth-anything-small", "model", self.weights),)
+
     def __call__(self, image: Image) -> Array32:
         """Depth (h, w) from -1, nearest, to 0, farthest; see `MonocularDepth`.
 
@@ -47,8 +52,7 @@ class DepthAnythingDepth:
             InputError: the folder holds no Depth Anything, one in metres, or not all of it.
         """
         device = torch_device(self.device)
-        require("transformers", "transformers")
-        folder = find("depth-anything-small", "model", self.weights)
+        (folder,) = self.ready()
         inverse, _ = _answer(folder, device, image, metric=False)
         low, high = float(inverse.min()), float(inverse.max())
         return np.asarray((low - inverse) / max(high - low, 1e-12), np.float32)

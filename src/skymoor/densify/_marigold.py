@@ -47,6 +47,12 @@ class MarigoldDepth:
                 f"side_px = {self.side_px}, steps = {self.steps}, ensemble = {self.ensemble}: 64, 0 and 1 at least"
             )
 
+    def ready(self) -> tuple[Path, ...]:
+        """The folder that will be read; see `__call__` for what is raised where something is missing."""
+        require("transformers", "marigold")
+        require("diffusers", "marigold")
+        return (find("marigold", "model", self.weights),)
+
     def __call__(self, image: Image) -> Array32:
         """Depth (h, w) from 0, nearest, to 1, farthest; see `MonocularDepth`.
 
@@ -55,9 +61,7 @@ class MarigoldDepth:
             InputError: the folder holds no Marigold for depth, or not all of it.
         """
         device = torch_device(self.device)
-        require("transformers", "marigold")
-        require("diffusers", "marigold")
-        pipeline = _pipeline(find("marigold", "model", self.weights), device)
+        pipeline = _pipeline(*self.ready(), device)
         import torch
         from PIL import Image as Pictures
 
