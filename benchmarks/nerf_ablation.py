@@ -89,7 +89,11 @@ def main() -> None:
             model = case.builder(None, used, monocular=order, report=lambda found, told=told: told.append(dict(found)))  # type: ignore[arg-type,misc]
         row: dict[str, Any] = {"case": case.name, "psnr_db": told[-1]["psnr_db"] if told else None}
         obliques = oblique_views(model.surface_points, COARSE * model.pixel)
-        views = {"nadir": nadir_view(model.surface_points, COARSE * model.pixel), "north": obliques[0], "east": obliques[2]}
+        views = {
+            "nadir": nadir_view(model.surface_points, COARSE * model.pixel),
+            "north": obliques[0],
+            "east": obliques[2],
+        }
         for name, view in views.items():
             render = model.render(view)
             error, _, label = compare(render, view, scene, enu_from_level, truth["options"]["radius_m"])
