@@ -29,6 +29,8 @@ class CameraOptions:
         max_offset_m: largest median distance between where a wall is and where the photo shows it.
         max_offset_ratio: the same in units of what the component's cameras have in the middle: where walls repeat
             themselves, all of them are seen less well.
+        min_lead: a photo off by more contradicts only if it also agrees so many times better with the walls when it is
+            moved.
         reach_m: so far around its place each photo's picture of a wall is tried.
         min_score, min_gain: a photo that agrees there by at least so much, and by so many times what it does at its
             place, contradicts it.
@@ -37,6 +39,7 @@ class CameraOptions:
     min_matches: int = 150
     max_offset_m: float = 0.75
     max_offset_ratio: float = 6.0
+    min_lead: float = 1.05
     reach_m: float = 5.0
     min_score: float = 20.0
     min_gain: float = 1.25
@@ -76,7 +79,13 @@ def hear_cameras(
     heard = [_hear(depth_map, airborne, enu_from_level, options, limits, rng) for depth_map in maps_level]
     usual = float(np.median([w.offset_m for w in heard if w.n_matches >= limits.min_matches] or [0.0]))
     limit = max(limits.max_offset_m, limits.max_offset_ratio * usual)
-    return [replace(w, contradicts=w.contradicts or (w.heard and w.offset_m > limit)) for w in heard]
+    return [replace(w, contradicts=w.contradicts or _off(w, limit, limits)) for w in heard]
+
+
+def _off(witness: CameraWitness, limit_m: float, limits: CameraOptions) -> bool:
+    """Whether matches say that a photo shows walls elsewhere, and the whole picture does not deny it."""
+    leads = witness.best_score > limits.min_lead * witness.score
+    return witness.heard and witness.offset_m > limit_m and leads
 
 
 def _hear(
