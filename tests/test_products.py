@@ -43,7 +43,7 @@ def ground() -> Placed:
 
 
 def witness(image: str, *, contradicts: bool) -> CameraWitness:
-    return CameraWitness(image, 0.5, 100, 1.2 if contradicts else 0.1, True, contradicts)
+    return CameraWitness(image, 0.5, 0.5, 100, 1.2 if contradicts else 0.1, True, contradicts)
 
 
 def test_a_ground_camera_is_as_unsure_as_all_that_it_stands_on(ground: Placed) -> None:
