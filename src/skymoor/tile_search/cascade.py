@@ -40,8 +40,8 @@ class CascadeOptions:
         min_shown, reach_m: a tile sees what a photo sees if it shows this share of the photo's points this near.
         same_m: places that put the model's points this close to each other are one.
         decisive_margin: see `ConsensusOptions.min_margin`; with this one the search stops.
-        consensus: how matches become a similarity. The scales are those of a person's eyes over the ground: a levelled
-            component has the height of its cameras for its unit.
+        consensus: how matches become a similarity. The scales are wide round a person's eyes over the ground: a levelled
+            component has about the height of its cameras for its unit.
         retriever: says which tiles come first,
         upright_weight: together with the walls that a tile shows, for that is what ground photos show: the weight of
             their share against the likeness, both in standard deviations. The order is drawn with these odds.
@@ -53,11 +53,11 @@ class CascadeOptions:
     tested: int = 3
     probes: int = 3
     seen_tiles: int = 3
-    min_shown: float = 0.2
+    min_shown: float = 0.05
     reach_m: float = 1.5
     same_m: float = 2.5
     decisive_margin: float = 2.0
-    consensus: ConsensusOptions = field(default_factory=lambda: ConsensusOptions(min_scale=1.1, max_scale=2.3))
+    consensus: ConsensusOptions = field(default_factory=lambda: ConsensusOptions(min_scale=0.6, max_scale=2.6))
     retriever: Retriever = field(default_factory=ChannelRetriever)
     upright_weight: float = 1.0
 
