@@ -40,8 +40,8 @@ class CascadeOptions:
         min_shown, reach_m: a tile sees what a photo sees if it shows this share of the photo's points this near.
         same_m: places that put the model's points this close to each other are one.
         decisive_margin: see `ConsensusOptions.min_margin`; with this one the search stops.
-        consensus: how matches become a similarity. The scales are wide round a person's eyes over the ground: a levelled
-            component has about the height of its cameras for its unit.
+        consensus: how matches become a similarity. Its scales lie round the height of a person's eyes, which is about
+            the unit of a levelled component.
         retriever: says which tiles come first,
         upright_weight: together with the walls that a tile shows, for that is what ground photos show: the weight of
             their share against the likeness, both in standard deviations. The order is drawn with these odds.
