@@ -49,6 +49,7 @@ from skymoor.types import (
     Registration,
     Render,
 )
+from skymoor.weights import stamps
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +223,7 @@ def _single_photo_depths(name: str, depths: Sequence[DepthMap], job: Job) -> lis
     return job.store.stage(
         f"{name}.monocular",
         compute,
-        options=(engine, [str(path) for path in engine.ready()]),
+        options=(engine, stamps(engine.ready())),
         after=[f"{name}.depths"],
         code=[skymoor.densify],
     )

@@ -12,6 +12,7 @@ from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
 from skymoor.match._romav2 import RomaV2Matcher
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.structural import StructuralMatcher
+from skymoor.weights import stamps
 
 LEARNED = (AlikedMatcher, LoftrMatcher, TinyRomaMatcher, RomaMatcher, RomaV2Matcher)
 
@@ -47,5 +48,4 @@ class MatcherOptions:
             InputError: nothing is where its weights are said to be.
         """
         chosen = self.engine
-        files = chosen.ready() if isinstance(chosen, LEARNED) else ()
-        return tuple((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
+        return stamps(chosen.ready()) if isinstance(chosen, LEARNED) else ()

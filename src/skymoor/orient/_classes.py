@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -39,6 +40,30 @@ def ground_ids(names: Mapping[int, str], folder: Path) -> list[int]:
         some = ", ".join(list(names.values())[:3])
         raise InputError(f"{folder}: none of its classes ({some}, ...) is ground; take a model trained on ADE20K")
     return ids
+
+
+def ground_mask(
+    processor: Any, network: Any, image: Image, side_px: int, folder: Path, device: str, **tasks: list[str]
+) -> Mask:
+    """Ground-like pixels (h, w) of a photo (h, w, 3), by a segmentation network of the library transformers.
+
+    Args:
+        processor, network: of the library, from `folder`.
+        image: the photo; it is reduced to the long side `side_px`.
+        tasks: what else the processor wants to be told.
+
+    Raises `InputError` where no class is ground.
+    """
+    import torch
+    from PIL import Image as Pictures
+
+    ids = ground_ids(network.config.id2label, folder)
+    photo = small(image, side_px)
+    given = processor(images=Pictures.fromarray(photo), return_tensors="pt", **tasks).to(device)
+    with torch.inference_mode():
+        found = network(**given)
+        (labels,) = processor.post_process_semantic_segmentation(found, target_sizes=[photo.shape[:2]])
+    return ground_of(labels.cpu().numpy(), ids, image)
 
 
 def ground_of(labels: np.ndarray[tuple[int, ...], np.dtype[np.int64]], ids: list[int], image: Image) -> Mask:

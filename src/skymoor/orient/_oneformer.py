@@ -13,7 +13,7 @@ from typing import Any
 
 from skymoor.errors import InputError
 from skymoor.optional import require, torch_device
-from skymoor.orient._classes import ground_ids, ground_of, small
+from skymoor.orient._classes import ground_mask
 from skymoor.orient.protocol import GroundLabeler
 from skymoor.types import Image, Mask
 from skymoor.weights import find
@@ -46,16 +46,7 @@ class OneFormerLabeler:
         require("transformers", "transformers")
         folder = find("oneformer", "model", self.weights)
         processor, network = _network(folder, device)
-        ids = ground_ids(network.config.id2label, folder)
-        import torch
-        from PIL import Image as Pictures
-
-        photo = small(image, self.side_px)
-        given = processor(images=Pictures.fromarray(photo), task_inputs=["semantic"], return_tensors="pt").to(device)
-        with torch.inference_mode():
-            found = network(**given)
-            (labels,) = processor.post_process_semantic_segmentation(found, target_sizes=[photo.shape[:2]])
-        return ground_of(labels.cpu().numpy(), ids, image)
+        return ground_mask(processor, network, image, self.side_px, folder, device, task_inputs=["semantic"])
 
 
 _: type[GroundLabeler] = OneFormerLabeler

@@ -5,7 +5,16 @@ Nothing is downloaded unless `fetch` is called, which only the command `skymoor 
 """
 
 from skymoor.weights.fetch import Fetched, fetch
-from skymoor.weights.files import another_network, find, load_into, load_state_dict, sha256_of, verify, weights_folder
+from skymoor.weights.files import (
+    another_network,
+    find,
+    load_into,
+    load_state_dict,
+    sha256_of,
+    stamps,
+    verify,
+    weights_folder,
+)
 from skymoor.weights.table import KNOWN, WeightFile, Weights, known
 
 __all__ = [
@@ -20,6 +29,7 @@ __all__ = [
     "load_into",
     "load_state_dict",
     "sha256_of",
+    "stamps",
     "verify",
     "weights_folder",
 ]
