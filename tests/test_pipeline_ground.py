@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from skymoor import pipeline_ground
+from skymoor.densify import MetricDepthOptions
 from skymoor.geometry.similarity import Similarity
 from skymoor.match import MatcherOptions
 from skymoor.pipeline import Job, Placed
@@ -61,7 +62,7 @@ def stubbed(monkeypatch: pytest.MonkeyPatch) -> tuple[list[DepthMap], Similarity
         return job.store.stage(f"{name}.depths", lambda: maps)
 
     monkeypatch.setattr(pipeline_ground, "reconstruct_set", lambda *_: [component_of(maps), component_of(maps[:2])])
-    monkeypatch.setattr(pipeline_ground, "estimate_ground_gravity", lambda *_: None)
+    monkeypatch.setattr(pipeline_ground, "estimate_ground_gravity", lambda *_, ground: None)
     monkeypatch.setattr(pipeline_ground, "level_from_gravity", lambda *_: Similarity.identity())
     monkeypatch.setattr(pipeline_ground, "densify_component", stage)
     return maps, enu_from_level, world
@@ -112,3 +113,52 @@ def test_without_an_airborne_component_all_are_refused(
     assert [item.registration.registered for item in found] == [False, False]
     assert "no airborne component is registered" in found[0].registration.reason
     assert register_ground_sets([], []) == []
+
+
+@dataclass(frozen=True)
+class Metres:
+    """Says the true distances of the world's walk, times a factor."""
+
+    factor: float
+    metres_per_unit: float
+
+    def __call__(self, image: np.ndarray, focal_px: float) -> np.ndarray:
+        assert focal_px == 76.0
+        depths = {m.rgb.tobytes(): m.depth for m in floated(TileWorld().walk(), tilt_deg=0.0)[0]}
+        return np.asarray(self.factor * self.metres_per_unit * depths[image.tobytes()], np.float32)
+
+
+@pytest.mark.parametrize(("factor", "narrowed"), [(1.1, True), (1e4, False)])
+def test_metres_of_single_photos_narrow_the_search(
+    factor: float,
+    narrowed: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stubbed: tuple[list[DepthMap], Similarity, TileWorld],
+) -> None:
+    """A tenth too large is within what such networks may err; what contradicts all that was to be searched is left."""
+    _, enu_from_level, world = stubbed
+    searched: list[ConsensusOptions] = []
+
+    def spy(maps: Any, renders: Any, matcher: Any, options: ConsensusOptions, **_: Any) -> Registration:
+        searched.append(options)
+        return Registration(False, "not searched", None)
+
+    monkeypatch.setattr(pipeline_ground, "exhaustive", spy)
+    metric: Any = MetricDepthOptions(kind="network", network=Metres(factor, enu_from_level.scale))  # type: ignore[arg-type]
+    consensus = ConsensusOptions(min_scale=0.01, max_scale=100.0)
+    ground = GroundSetOptions(method="exhaustive", metric=metric, exhaustive=consensus)
+    with Store.open(tmp_path) as store:
+        job = Job(None, None, Options(ground=ground), store, 0, lambda _: no_progress, "ground0", "air.model")  # type: ignore[arg-type]
+        ((first, second),) = register_ground_sets([job], [airborne_of(world, store)])
+    assert first.metric is not None
+    assert first.metric.metres_per_unit == pytest.approx(factor * enu_from_level.scale, rel=0.02)
+    assert second.metric is not None
+    low, high = searched[0].min_scale, searched[0].max_scale
+    if narrowed:
+        assert 0.5 * enu_from_level.scale < low < enu_from_level.scale < high < 2.0 * enu_from_level.scale
+        width_m = np.median([np.nanmedian(m.depth) for m in first.depths]) * 96 / 76 * factor * enu_from_level.scale
+        assert searched[0].pictures.tile_px == pytest.approx(max(150, width_m / 0.33), rel=0.1)
+    else:
+        assert (low, high) == (0.01, 100.0)
+        assert searched[0].pictures.tile_px == 900

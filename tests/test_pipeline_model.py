@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from skymoor import pipeline
+from skymoor.densify import RelativeDepthOptions
 from skymoor.errors import BackendUnavailable
 from skymoor.options import with_options
 from skymoor.pipeline import Job
@@ -48,7 +49,8 @@ class Builder:
 
 def test_depths_of_single_photos_reach_the_field(tmp_path: Path) -> None:
     maps, order, builder = TileWorld().walk(3), Order(), Builder()
-    model: Any = {"kind": "nerf", "monocular": "marigold", "marigold": order, "nerf": builder}
+    chosen: Any = {"kind": "marigold", "marigold": order}
+    model: Any = {"kind": "nerf", "monocular": RelativeDepthOptions(**chosen), "nerf": builder}
     for run in range(2):
         with Store.open(tmp_path) as store:
             store.stage("a.depths", lambda: None)
@@ -61,7 +63,7 @@ def test_depths_of_single_photos_reach_the_field(tmp_path: Path) -> None:
 
 def test_nothing_is_asked_for_a_mesh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("SKYMOOR_WEIGHTS", str(tmp_path))
-    mesh = with_options(Options(), {"model.monocular": "depth_anything"})
+    mesh = with_options(Options(), {"model.monocular.kind": "depth_anything"})
     assert mesh.model.ranking is None
     check_engines(mesh)
     with pytest.raises(BackendUnavailable):

@@ -49,7 +49,7 @@ def run(command: Run) -> bool:
         raise InputError(
             f"{command.site}: it names no [airborne] images; ground photos are placed on the airborne model"
         )
-    check_engines(options)
+    check_engines(options, ground=bool(site.ground))
     with Screen(plain=command.quiet) as screen, Store.open(command.out, note=screen.note) as store:
         photos = store.photos("photos", site.airborne, site.root, screen.track("photos"))
         _tell_metadata(site.airborne, screen)

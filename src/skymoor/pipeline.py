@@ -21,14 +21,15 @@ import skymoor.orient
 import skymoor.reconstruct
 import skymoor.register
 import skymoor.render
-from skymoor.densify import DepthEstimator
+from skymoor.choice import files_of
+from skymoor.densify import DepthEstimator, MetricScale
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
 from skymoor.ground import CameraWitness
 from skymoor.lift import lift
 from skymoor.match import Placement, match_placed, search_placements
 from skymoor.model import SceneModel
-from skymoor.orient import estimate_gravity, level_from_gravity
+from skymoor.orient import LabelOptions, estimate_gravity, ground_points, level_from_gravity
 from skymoor.overlay import lay_on_reference, nadir_raster, reference_raster
 from skymoor.reconstruct import ReconstructOptions, reconstruct, with_focal
 from skymoor.register import Relief, compare_relief, focal_correction, judge, register
@@ -42,6 +43,7 @@ from skymoor.types import (
     DepthMap,
     Gravity,
     Image,
+    Mask,
     Matches3D,
     Photos,
     Progress,
@@ -74,7 +76,7 @@ class Placed:
     """A component and all that was found out about its place. `component` is in the `level` frame.
 
     `name` is that of its stages. A ground component stands on `base`, an airborne one; `walls` shows both, and each of
-    its photos may have said whether it agrees (`witnesses`).
+    its photos may have said whether it agrees (`witnesses`). `metric` is its size as single photos say it.
     """
 
     name: str
@@ -90,6 +92,7 @@ class Placed:
     base: Placed | None = None
     walls: Image | None = None
     witnesses: Sequence[CameraWitness] = ()
+    metric: MetricScale | None = None
 
     @property
     def cameras_enu(self) -> list[Camera]:
@@ -113,9 +116,22 @@ def reconstruct_set(stage: str, job: Job, options: ReconstructOptions) -> list[C
     return job.store.stage(
         stage,
         lambda: reconstruct(job.photos, options, seed=job.seed, progress=job.track(f"{job.name}: reconstruction")),
-        options=(options, job.seed),
+        options=(options, job.seed, stamps(options.ready())),
         after=[job.photos_stage],
-        code=[skymoor.reconstruct, "skymoor.colmap"],
+        code=[skymoor.reconstruct, "skymoor.colmap", "skymoor.aliked", skymoor.match],
+    )
+
+
+def ground_of(name: str, component: Component, labels: LabelOptions, job: Job, source: str) -> Mask | None:
+    """Which points of a component, that the stage `source` made, are ground by their looks; None without labels."""
+    if labels.engine is None:
+        return None
+    return job.store.stage(
+        f"{name}.ground",
+        lambda: ground_points(component, job.photos, labels, progress=job.track(f"{name}: ground labels")),
+        options=(labels.engine, stamps(labels.ready())),
+        after=[job.photos_stage, source],
+        code=[skymoor.orient],
     )
 
 
@@ -146,7 +162,8 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
     """Place a component, which the stage `source` made."""
     options, reference = job.options, job.reference
     try:
-        gravity = estimate_gravity(component, options.orient, rng=np.random.default_rng(job.seed))
+        ground = ground_of(name, component, options.labels, job, source)
+        gravity = estimate_gravity(component, options.orient, rng=np.random.default_rng(job.seed), ground=ground)
         level_from_sfm = level_from_gravity(component, gravity)
         level = component.moved(level_from_sfm)
         depths = densify_component(name, level, level_from_sfm, job, source, options.densify)
@@ -162,7 +179,7 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
     registration, matches = job.store.stage(
         f"{name}.register",
         lambda: _register_best(placements, render, job),
-        options=(options.match, options.match.dense.ready(), options.lift, options.register, job.seed),
+        options=(options.match, stamps(options.match.dense.ready()), options.lift, options.register, job.seed),
         after=["reference", f"{name}.search"],
         code=[skymoor.match, skymoor.lift, skymoor.register, skymoor.geometry],
     )
@@ -223,7 +240,7 @@ def _single_photo_depths(name: str, depths: Sequence[DepthMap], job: Job) -> lis
     return job.store.stage(
         f"{name}.monocular",
         compute,
-        options=(engine, stamps(engine.ready())),
+        options=(engine, stamps(files_of(engine))),
         after=[f"{name}.depths"],
         code=[skymoor.densify],
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,12 +16,14 @@ import skymoor.match
 import skymoor.register
 import skymoor.render
 import skymoor.tile_search
-from skymoor.densify import blind_map
-from skymoor.errors import DegenerateGeometry
+from skymoor.choice import files_of
+from skymoor.densify import MetricScale, blind_map, scale_from_metric_depth
+from skymoor.errors import DegenerateGeometry, TooFewMatches
 from skymoor.ground import (
     AirborneWalls,
     Answers,
     CameraWitness,
+    GroundOptions,
     OneAnswer,
     airborne_walls,
     decide_jointly,
@@ -31,10 +33,14 @@ from skymoor.ground import (
     walls_picture,
 )
 from skymoor.orient import estimate_ground_gravity, level_from_gravity
-from skymoor.pipeline import Job, Placed, densify_component, reconstruct_set, refused
+from skymoor.pipeline import Job, Placed, densify_component, ground_of, reconstruct_set, refused
 from skymoor.render import oblique_views
-from skymoor.tile_search import cascade, exhaustive
+from skymoor.settings import GroundSetOptions
+from skymoor.tile_search import ConsensusOptions, cascade, exhaustive, tile_px_for
 from skymoor.types import Component, Image, Registration, Render
+from skymoor.weights import stamps
+
+T = TypeVar("T", GroundOptions, ConsensusOptions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,19 +113,55 @@ def _level(name: str, component: Component, airborne: _Airborne | None, job: Job
     try:
         if airborne is None:
             raise DegenerateGeometry("no airborne component is registered that it could be laid on")
-        gravity = estimate_ground_gravity(component, job.photos, options.upright)
+        ground = ground_of(name, component, options.labels, job, f"{job.name}.reconstruct")
+        gravity = estimate_ground_gravity(component, job.photos, options.upright, ground=ground)
         level_from_sfm = level_from_gravity(component, gravity)
         level = component.moved(level_from_sfm)
         depths = densify_component(name, level, level_from_sfm, job, f"{job.name}.reconstruct", options.densify)
     except DegenerateGeometry as error:
         return refused(name, component, str(error))
     found = refused(name, level, "not searched yet")
-    return replace(found, level_from_sfm=level_from_sfm, gravity=gravity, depths=depths, base=airborne.base)
+    found = replace(found, level_from_sfm=level_from_sfm, gravity=gravity, depths=depths, base=airborne.base)
+    return replace(found, metric=_metric(found, job))
+
+
+def _metric(item: Placed, job: Job) -> MetricScale | None:
+    """How many metres a unit of a component is, by what single photos say; None where nobody is asked, or can tell."""
+    engine = job.options.ground.metric
+    if engine.engine is None:
+        return None
+    progress = job.track(f"{item.name}: metres of single photos")
+
+    def compute() -> MetricScale | None:
+        metres = []
+        for depth_map in item.depths:
+            metres.append(engine(depth_map.rgb, depth_map.camera.intrinsics.fx))
+            progress(len(metres), len(item.depths))
+        try:
+            return scale_from_metric_depth(item.depths, metres)
+        except TooFewMatches:
+            return None
+
+    return job.store.stage(
+        f"{item.name}.metric",
+        compute,
+        options=(engine.engine, stamps(engine.ready())),
+        after=[f"{item.name}.depths"],
+        code=[skymoor.densify],
+    )
+
+
+def _of_size(options: T, item: Placed) -> T:
+    """Options of a search, without the scales that metric depth denies."""
+    if item.metric is None:
+        return options
+    low, high = item.metric.narrowed(options.min_scale, options.max_scale)
+    return replace(options, min_scale=low, max_scale=high)
 
 
 def _search(item: Placed, airborne: _Airborne, job: Job) -> Answers:
     """Where a component may stand, by the chosen method."""
-    options, walls = job.options.ground.place, airborne.walls
+    options, walls = _of_size(job.options.ground.place, item), airborne.walls
     if job.options.ground.method != "walls":
         return _search_tiles(item, airborne, job)
     if walls is None:
@@ -141,7 +183,9 @@ def _search(item: Placed, airborne: _Airborne, job: Job) -> Answers:
 
 def _search_tiles(item: Placed, airborne: _Airborne, job: Job) -> OneAnswer:
     """Where the tiles of the airborne model's renders say that a component stands."""
-    options, base, ready = job.options.ground, airborne.base, job.options.ground.matcher.ready()
+    ground, base = job.options.ground, airborne.base
+    options, consensus = ground.cascade, _consensus(item, airborne, ground)
+    few = ground.method == "cascade"
 
     def compute() -> OneAnswer:
         common: dict[str, Any] = {
@@ -150,21 +194,34 @@ def _search_tiles(item: Placed, airborne: _Airborne, job: Job) -> OneAnswer:
             "progress": job.track(f"{item.name}: tiles"),
         }
         try:
-            if options.method == "cascade":
-                found = cascade(item.depths, airborne.renders, options.matcher.engine, options.cascade, **common)
+            if few:
+                chosen = replace(options, consensus=consensus)
+                found = cascade(item.depths, airborne.renders, ground.matcher, chosen, **common)
             else:
-                found = exhaustive(item.depths, airborne.renders, options.matcher.engine, options.exhaustive, **common)
+                found = exhaustive(item.depths, airborne.renders, ground.matcher, consensus, **common)
         except DegenerateGeometry as error:
             found = refused(item.name, item.component, str(error)).registration
         return OneAnswer(found)
 
+    weights = stamps(files_of(ground.matcher, options.retriever if few else None))
     return job.store.stage(
         f"{item.name}.tiles",
         compute,
-        options=(options.method, options.matcher, ready, options.cascade, options.exhaustive, job.seed),
+        options=(ground.method, ground.matcher, options, consensus, weights, job.seed),
         after=[f"{base.name}.obliques", f"{base.name}.register", f"{item.name}.depths"],
         code=[skymoor.tile_search, skymoor.match, skymoor.register, skymoor.geometry],
     )
+
+
+def _consensus(item: Placed, airborne: _Airborne, ground: GroundSetOptions) -> ConsensusOptions:
+    """Options of the tile search for a component: its scales, and tiles of its photos' size, where metres are known."""
+    options = _of_size(ground.cascade.consensus if ground.method == "cascade" else ground.exhaustive, item)
+    placed = airborne.base.registration.enu_from_level
+    if item.metric is None or placed is None or not airborne.renders:
+        return options
+    pixel_m = airborne.renders[0].view.pixel * placed.scale
+    tile_px = tile_px_for(item.depths, item.metric.metres_per_unit, pixel_m)
+    return replace(options, pictures=replace(options.pictures, tile_px=tile_px))
 
 
 def _renders(base: Placed, job: Job) -> list[Render]:

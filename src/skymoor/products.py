@@ -139,6 +139,7 @@ def _component_summary(index: int, item: Placed, reference: Reference) -> dict[s
         "calibration": calibration,
         "calibration_note": calibration_note(item),
         "gravity": item.gravity,
+        "metric_scale": item.metric,
         "relief": item.relief,
         "contradicting_cameras": [witness.image for witness in item.witnesses if witness.contradicts],
     }

@@ -3,16 +3,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
-from skymoor.densify import DepthAnythingDepth, MarigoldDepth, SgmDepth
+from skymoor.choice import files_of
+from skymoor.densify import MetricDepthOptions, MonocularDepth, RelativeDepthOptions, StereoOptions
 from skymoor.ground import GroundOptions, JointOptions
 from skymoor.lift import LiftOptions
-from skymoor.match import CyclicOptions, MatcherOptions, SearchOptions
+from skymoor.match import CyclicOptions, MatcherOptions, RetrieverOptions, SearchOptions
 from skymoor.model import MeshBuilder, NerfBuilder, SceneBuilder
-from skymoor.orient import OrientOptions, UprightOptions
-from skymoor.reconstruct import ReconstructOptions, ground_options
+from skymoor.orient import LabelOptions, OrientOptions, UprightOptions
+from skymoor.reconstruct import (
+    AlikedPairMatcher,
+    ColmapAlikedMatcher,
+    DedodeRomaMatcher,
+    PairFilterOptions,
+    PairMatcherOptions,
+    ReconstructOptions,
+    SiftMatcher,
+    ground_options,
+)
 from skymoor.register import RegisterOptions, ReliefOptions
 from skymoor.render import RenderOptions
 from skymoor.tile_search import CascadeOptions, ConsensusOptions
@@ -45,17 +55,14 @@ class ModelOptions:
     Attributes:
         kind: "mesh" for fused depth maps, which takes seconds; "nerf" for the radiance field, which takes minutes, is
             closer to the surface and knows better where it is not.
-        monocular: engine whose depths of single photos rank the depths of the radiance field, where photos measure
-            none: "none", "marigold" (the paper's) or "depth_anything" (lighter).
-        nerf, mesh, marigold, depth_anything: how each is set up.
+        monocular: whose depths of single photos rank the depths of the radiance field, where photos measure none.
+        nerf, mesh: how each is set up.
     """
 
     kind: Literal["mesh", "nerf"] = "mesh"
-    monocular: Literal["none", "marigold", "depth_anything"] = "none"
+    monocular: RelativeDepthOptions = field(default_factory=RelativeDepthOptions)
     nerf: NerfBuilder = field(default_factory=NerfBuilder)
     mesh: MeshBuilder = field(default_factory=MeshBuilder)
-    marigold: MarigoldDepth = field(default_factory=MarigoldDepth)
-    depth_anything: DepthAnythingDepth = field(default_factory=DepthAnythingDepth)
 
     @property
     def builder(self) -> SceneBuilder:
@@ -63,11 +70,35 @@ class ModelOptions:
         return self.nerf if self.kind == "nerf" else self.mesh
 
     @property
-    def ranking(self) -> MarigoldDepth | DepthAnythingDepth | None:
+    def ranking(self) -> MonocularDepth | None:
         """What ranks depths; None where nothing does."""
-        if self.kind != "nerf" or self.monocular == "none":
-            return None
-        return self.marigold if self.monocular == "marigold" else self.depth_anything
+        chosen: MonocularDepth | None = self.monocular.engine
+        return chosen if self.kind == "nerf" else None
+
+
+def _pair_matcher(*, shared_camera: bool, exhaustive_below: int) -> PairMatcherOptions:
+    """All matchers of photos, for photos of one camera or of several. Those of the paper are DeDoDe and RoMa."""
+    common: dict[str, Any] = {"shared_camera": shared_camera, "exhaustive_below": exhaustive_below}
+    return PairMatcherOptions(
+        sift=SiftMatcher(**common),
+        aliked=AlikedPairMatcher(**common),
+        dedode_roma=DedodeRomaMatcher(MatcherOptions(kind="roma"), **common),
+        colmap_aliked=ColmapAlikedMatcher(**common),
+    )
+
+
+def _reconstruct() -> ReconstructOptions:
+    matcher = _pair_matcher(shared_camera=True, exhaustive_below=40)
+    return ReconstructOptions(matcher, pair_filter=PairFilterOptions())
+
+
+def _reconstruct_ground() -> ReconstructOptions:
+    matcher = _pair_matcher(shared_camera=False, exhaustive_below=60)
+    return replace(ground_options(), matcher=matcher, pair_filter=PairFilterOptions(kind="conflicts"))
+
+
+def _cascade() -> CascadeOptions:
+    return CascadeOptions(retriever=RetrieverOptions())
 
 
 @dataclass(frozen=True)
@@ -77,6 +108,8 @@ class GroundSetOptions:
     Attributes:
         reconstruct, densify: as for the airborne set, for photos of several lenses from nearby.
         upright: how up is found.
+        labels: which network says where the ground is; the cameras' height above it is the unit of the search.
+        metric: which network says how many metres that is, so that less has to be searched.
         method: how a component is laid on the airborne model. "walls" compares the walls of both models and needs no
             learned matcher; "cascade" and "exhaustive" match the photos with tiles of the airborne model's renders by
             `matcher`, few of the pairs or all as in the paper.
@@ -86,23 +119,33 @@ class GroundSetOptions:
     """
 
     method: Literal["walls", "cascade", "exhaustive"] = "walls"
-    reconstruct: ReconstructOptions = field(default_factory=ground_options)
-    densify: SgmDepth = field(default_factory=SgmDepth)
+    reconstruct: ReconstructOptions = field(default_factory=_reconstruct_ground)
+    densify: StereoOptions = field(default_factory=StereoOptions)
     upright: UprightOptions = field(default_factory=UprightOptions)
+    labels: LabelOptions = field(default_factory=LabelOptions)
+    metric: MetricDepthOptions = field(default_factory=MetricDepthOptions)
     place: GroundOptions = field(default_factory=GroundOptions)
     matcher: MatcherOptions = field(default_factory=MatcherOptions)
-    cascade: CascadeOptions = field(default_factory=CascadeOptions)
+    cascade: CascadeOptions = field(default_factory=_cascade)
     exhaustive: ConsensusOptions = field(default_factory=ConsensusOptions)
     joint: JointOptions = field(default_factory=JointOptions)
+
+    @property
+    def engines(self) -> tuple[object, ...]:
+        """All that a run with ground photos will call."""
+        tiles = () if self.method == "walls" else (self.matcher,)
+        retriever = (self.cascade.retriever,) if self.method == "cascade" else ()
+        return (self.reconstruct, self.densify, self.labels, self.metric, *tiles, *retriever)
 
 
 @dataclass(frozen=True)
 class Options:
     """Every option of every stage, by its dotted name."""
 
-    reconstruct: ReconstructOptions = field(default_factory=ReconstructOptions)
+    reconstruct: ReconstructOptions = field(default_factory=_reconstruct)
     orient: OrientOptions = field(default_factory=OrientOptions)
-    densify: SgmDepth = field(default_factory=SgmDepth)
+    labels: LabelOptions = field(default_factory=LabelOptions)
+    densify: StereoOptions = field(default_factory=StereoOptions)
     model: ModelOptions = field(default_factory=ModelOptions)
     render: RenderOptions = field(default_factory=RenderOptions)
     match: MatchOptions = field(default_factory=MatchOptions)
@@ -112,15 +155,13 @@ class Options:
     ground: GroundSetOptions = field(default_factory=GroundSetOptions)
 
 
-def check_engines(options: Options) -> None:
-    """Whether the chosen engines can run, before an hour of work.
+def check_engines(options: Options, *, ground: bool = True) -> None:
+    """Whether the chosen engines can run, before an hour of work; those for ground photos only if there are any.
 
     Raises:
-        BackendUnavailable: a library or weights are missing.
+        BackendUnavailable: a library, weights or a device are missing.
         InputError: nothing is where weights are said to be.
     """
-    options.match.dense.ready()
-    if options.model.ranking is not None:
-        options.model.ranking.ready()
-    if options.ground.method != "walls":
-        options.ground.matcher.ready()
+    files_of(options.reconstruct, options.labels, options.densify, options.model.ranking, options.match.dense)
+    if ground:
+        files_of(*options.ground.engines)

@@ -203,7 +203,7 @@ class TestEngine:
             PatchMatchDepth(str(tmp_path / "nowhere/colmap"))(component, photos)
         monkeypatch.setenv("PATH", str(tmp_path / "empty"))
         monkeypatch.setattr(pycolmap, "has_cuda", False)
-        with pytest.raises(BackendUnavailable, match="install COLMAP with CUDA, or take SgmDepth"):
+        with pytest.raises(BackendUnavailable, match="install COLMAP with CUDA, or take sgm"):
             PatchMatchDepth()(component, photos)
 
     def test_pycolmap_where_it_can(

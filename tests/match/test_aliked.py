@@ -14,7 +14,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-import skymoor.match._aliked
+import skymoor.aliked
 import skymoor.match._loftr
 from pictures import noise_picture
 from skymoor.errors import BackendUnavailable, InputError
@@ -142,7 +142,7 @@ def test_pixels_of_kornia_to_ours(side: int, monkeypatch: pytest.MonkeyPatch) ->
     fake = SimpleNamespace(match_smnn=lambda x, y, _: (None, torch.arange(4)[:, None].repeat(1, 2)))
     monkeypatch.setitem(sys.modules, "kornia", SimpleNamespace(feature=fake))
     monkeypatch.setitem(sys.modules, "kornia.feature", fake)
-    for module in (skymoor.match._aliked, skymoor.match._loftr):
+    for module in (skymoor.aliked, skymoor.match._loftr):
         monkeypatch.setattr(module, "_network", lambda *_: Pixels())
         monkeypatch.setattr(module, "find", lambda *_: Path("unused"))
     for matcher in (AlikedMatcher(side_px=104, device="cpu"), LoftrMatcher(side_px=104, device="cpu")):

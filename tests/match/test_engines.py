@@ -12,6 +12,7 @@ from skymoor.errors import BackendUnavailable, InputError
 from skymoor.match import AlikedMatcher, MatcherOptions, StructuralMatcher
 from skymoor.options import with_options
 from skymoor.settings import Options, check_engines
+from skymoor.weights import stamps
 
 
 @pytest.fixture(autouse=True)
@@ -34,10 +35,11 @@ def test_other_weights_under_the_same_name_are_noticed(tmp_path: Path) -> None:
     path = tmp_path / "some.pth"
     path.write_bytes(b"1")
     options = MatcherOptions(kind="aliked", aliked=AlikedMatcher(weights=str(path)))
-    before = options.ready()
+    assert options.ready() == (path,)
+    before = stamps(options.ready())
     path.write_bytes(b"22")
-    assert options.ready() != before
-    assert options.ready()[0][:2] == (str(path), 2)
+    assert stamps(options.ready()) != before
+    assert stamps(options.ready())[0][:2] == (str(path), 2)
 
 
 def test_what_is_missing_is_told_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,6 +22,7 @@ from skymoor.errors import BackendUnavailable, InputError
 from skymoor.optional import require
 from skymoor.reconstruct import DedodeDetector, DedodeRomaMatcher, ReconstructOptions, reconstruct
 from skymoor.reconstruct._dedode_roma import match_keypoints
+from skymoor.reconstruct.database import likely_pairs
 from skymoor.reconstruct.graph import view_graph
 from skymoor.reconstruct.protocol import ViewGraph
 from skymoor.types import Array32, Camera, Image, Photos, Raster, Warp, no_progress
@@ -209,13 +210,19 @@ class TestDatabase:
     def test_nothing_in_common(self, world: World, tmp_path: Path) -> None:
         assert filled(world, tmp_path, min_confidence=0.95).pairs == ()
 
-    def test_partners_in_larger_sets(self, world: World) -> None:
+    def test_partners_in_larger_sets(self) -> None:
         """Two places with three photos each, slightly moved: nobody gets a partner at the other place."""
         places = [noise_picture((240, 320)), np.ascontiguousarray(noise_picture((240, 320))[::-1, :, [1, 2, 0]])]
         pictures = [np.roll(places[k // 3], 12 * (k % 3), axis=1) for k in range(6)]
         photos = Photos(tuple("abcdef"), ((320, 240),) * 6, lambda name: pictures["abcdef".index(name)])
-        matcher = DedodeRomaMatcher(world.warp, world.detect, exhaustive_below=3, neighbours=2)
-        assert matcher._pairs(photos) == [(0, 1), (0, 2), (1, 2), (3, 4), (3, 5), (4, 5)]
+        assert likely_pairs(photos, exhaustive_below=3, neighbours=2) == [
+            (0, 1),
+            (0, 2),
+            (1, 2),
+            (3, 4),
+            (3, 5),
+            (4, 5),
+        ]
 
 
 @pytest.fixture(scope="module")

@@ -177,6 +177,7 @@ class Without:
     """Believes no pair with this photo."""
 
     name: str
+    rounds: int = 3
 
     def __call__(self, graph: ViewGraph) -> list[int]:
         assert graph.components

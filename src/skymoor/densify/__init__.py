@@ -5,6 +5,7 @@ from skymoor.densify._depth_anything import DepthAnythingDepth, MetricDepthNetwo
 from skymoor.densify._marigold import MarigoldDepth
 from skymoor.densify._patchmatch import PatchMatchDepth, read_colmap_depth
 from skymoor.densify._sgm import SgmDepth
+from skymoor.densify.engines import MetricDepthOptions, RelativeDepthOptions, StereoOptions
 from skymoor.densify.metric_scale import MetricScale, scale_from_metric_depth
 from skymoor.densify.protocol import DepthEstimator, MetricDepth, MonocularDepth
 from skymoor.densify.views import blind_map
@@ -15,10 +16,13 @@ __all__ = [
     "MarigoldDepth",
     "MetricDepth",
     "MetricDepthNetwork",
+    "MetricDepthOptions",
     "MetricScale",
     "MonocularDepth",
     "PatchMatchDepth",
+    "RelativeDepthOptions",
     "SgmDepth",
+    "StereoOptions",
     "blind_map",
     "read_colmap_depth",
     "scale_from_metric_depth",

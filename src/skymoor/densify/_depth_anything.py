@@ -78,6 +78,11 @@ class MetricDepthNetwork:
     canonical_focal_px: float = 1000.0
     max_m: float = 75.0
 
+    def ready(self) -> tuple[Path, ...]:
+        """The folder that will be read; see `__call__` for what is raised where something is missing."""
+        require("transformers", "transformers")
+        return (find("metric-depth-small", "model", self.weights),)
+
     def __call__(self, image: Image, focal_px: float) -> Array32:
         """z-depth (h, w) in metres; see `MetricDepth`.
 
@@ -86,8 +91,8 @@ class MetricDepthNetwork:
             InputError: the folder holds no such network, a relative one, or not all of it.
         """
         device = torch_device(self.device)
-        require("transformers", "transformers")
-        depth, ratio = _answer(find("metric-depth-small", "model", self.weights), device, image, metric=True)
+        (folder,) = self.ready()
+        depth, ratio = _answer(folder, device, image, metric=True)
         known = np.where((depth > 0) & (depth < self.max_m), depth, np.nan)
         lens = focal_px * ratio / self.canonical_focal_px if self.canonical_focal_px > 0 else 1.0
         return np.asarray(known * lens, np.float32)

@@ -52,6 +52,11 @@ class PatchMatchDepth:
     tolerance_ratio: float = 0.01
     noise_px: float = 0.3
 
+    def ready(self) -> tuple[Path, ...]:
+        """No weights are read; see `__call__` for what is raised where no COLMAP can use a GPU."""
+        self._engine()
+        return ()
+
     def __call__(self, component: Component, photos: Photos, *, progress: Progress = no_progress) -> list[DepthMap]:
         """Depth maps of all cameras that have partners; see `DepthEstimator`.
 
@@ -167,7 +172,7 @@ def _program(given: str) -> str:
     if program is None:
         raise BackendUnavailable(
             "PatchMatch stereo needs a GPU: pycolmap here is a build without, and there is no program colmap; "
-            "install COLMAP with CUDA, or take SgmDepth"
+            "install COLMAP with CUDA, or take sgm"
         )
     says = subprocess.run([program, "help"], capture_output=True, text=True, check=False).stdout
     if "with CUDA" not in says and "with HIP" not in says and "with GPU" not in says:

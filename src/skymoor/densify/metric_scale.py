@@ -23,6 +23,13 @@ class MetricScale:
     sigma_ratio: float
     per_photo: Array
 
+    def narrowed(self, low: float, high: float, *, sigmas: float = 2.5) -> tuple[float, float]:
+        """The part of a range of metres per unit that this leaves; the whole range where it contradicts all of it."""
+        reach = float(np.exp(sigmas * self.sigma_ratio))
+        own = self.metres_per_unit / reach, self.metres_per_unit * reach
+        inner = max(low, own[0]), min(high, own[1])
+        return inner if inner[0] < inner[1] else (low, high)
+
 
 def scale_from_metric_depth(
     maps: Sequence[DepthMap],

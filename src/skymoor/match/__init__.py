@@ -8,7 +8,7 @@ from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
 from skymoor.match._romav2 import RomaV2Matcher
 from skymoor.match.align import lay, match_placed
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
-from skymoor.match.engines import MatcherOptions
+from skymoor.match.engines import MatcherOptions, RetrieverOptions
 from skymoor.match.facade import Drift, FacadeSearchOptions, Shift, agreement, drift, search_shifts
 from skymoor.match.protocol import DenseMatcher, Retriever
 from skymoor.match.search import Placement, SearchOptions, search_placements
@@ -25,6 +25,7 @@ __all__ = [
     "MatcherOptions",
     "Placement",
     "Retriever",
+    "RetrieverOptions",
     "RomaMatcher",
     "RomaV2Matcher",
     "SearchOptions",

@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 
 from skymoor.errors import InputError
-from skymoor.match._engines import as_tensor, fitted
 from skymoor.match.protocol import Retriever
 from skymoor.match.retrieve import UNLIKE
 from skymoor.match.vlad import unit, vlad, vocabulary
 from skymoor.optional import require, torch_device
+from skymoor.pictures import as_tensor, fitted
 from skymoor.types import Array, Array32, Raster
 from skymoor.weights import find
 from skymoor.weights.repository import open_model
@@ -61,6 +61,11 @@ class AnyLocRetriever:
                 "the first two are 1 at least, the last -1"
             )
 
+    def ready(self) -> tuple[Path, ...]:
+        """The folder that will be read; see `__call__` for what is raised where something is missing."""
+        require("transformers", "transformers")
+        return (find(f"dinov2-{self.size}", "model", self.weights),)
+
     def __call__(self, queries: Sequence[Raster], tiles: Sequence[Raster]) -> Array:
         """Cosines (n queries, n tiles), -1 for tiles that show nothing; see `Retriever`.
 
@@ -72,9 +77,7 @@ class AnyLocRetriever:
         if not queries or not tiles:
             return np.zeros((len(queries), len(tiles)))
         device = torch_device(self.device)
-        require("transformers", "transformers")
-        name = f"dinov2-{self.size}"
-        look = _network(find(name, "model", self.weights), device, self.layer)
+        look = _network(*self.ready(), device, self.layer)
         shown = np.array([tile.mask.any() for tile in tiles])
         likeness = np.full((len(queries), len(tiles)), UNLIKE)
         if shown.any():

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 
 from skymoor.errors import InputError
-from skymoor.match._engines import as_tensor, fitted
 from skymoor.match.flow import warp_from_pairs
 from skymoor.match.protocol import DenseMatcher
 from skymoor.optional import require, torch_device
+from skymoor.pictures import as_tensor, fitted
 from skymoor.types import Raster, Warp
 from skymoor.weights import find, load_into
 

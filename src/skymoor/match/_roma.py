@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from skymoor.errors import InputError
-from skymoor.match._engines import as_tensor, fitted
 from skymoor.match.flow import EngineFlow, warp_from_flows
 from skymoor.match.protocol import DenseMatcher
 from skymoor.optional import require, torch_device
+from skymoor.pictures import as_tensor, fitted
 from skymoor.types import Raster, Warp
 from skymoor.weights import another_network, find, load_into, load_state_dict
 

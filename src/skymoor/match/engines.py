@@ -1,24 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The choice of a dense matcher."""
+"""The choices of a dense matcher and of a retriever."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from skymoor.choice import Choice
 from skymoor.match._aliked import AlikedMatcher
+from skymoor.match._anyloc import AnyLocRetriever
 from skymoor.match._loftr import LoftrMatcher
 from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
 from skymoor.match._romav2 import RomaV2Matcher
-from skymoor.match.protocol import DenseMatcher
+from skymoor.match.protocol import DenseMatcher, Retriever
+from skymoor.match.retrieve import ChannelRetriever
 from skymoor.match.structural import StructuralMatcher
-from skymoor.weights import stamps
-
-LEARNED = (AlikedMatcher, LoftrMatcher, TinyRomaMatcher, RomaMatcher, RomaV2Matcher)
+from skymoor.types import Array, Raster, Warp
 
 
 @dataclass(frozen=True)
-class MatcherOptions:
+class MatcherOptions(Choice):
     """Which dense matcher compares pictures: docs/engines.md says what each is good for.
 
     Attributes:
@@ -34,18 +36,30 @@ class MatcherOptions:
     roma: RomaMatcher = field(default_factory=RomaMatcher)
     romav2: RomaV2Matcher = field(default_factory=RomaV2Matcher)
 
-    @property
-    def engine(self) -> DenseMatcher:
-        """The chosen one."""
-        chosen: DenseMatcher = getattr(self, self.kind)
-        return chosen
+    def __call__(self, a: Raster, b: Raster) -> Warp:
+        """Match by the chosen one; see `DenseMatcher`."""
+        warp: Warp = self.engine(a, b)
+        return warp
 
-    def ready(self) -> tuple[tuple[str, int, int], ...]:
-        """Path, size and time of change of the chosen one's weights: other weights, other results.
 
-        Raises:
-            BackendUnavailable: its library or its weights are missing.
-            InputError: nothing is where its weights are said to be.
-        """
-        chosen = self.engine
-        return stamps(chosen.ready()) if isinstance(chosen, LEARNED) else ()
+@dataclass(frozen=True)
+class RetrieverOptions(Choice):
+    """Which retriever says what tiles a photo may show.
+
+    Attributes:
+        kind: "channels" needs no weights and is hardly better than chance; "anyloc" is the paper's.
+        channels, anyloc: how each is set up.
+    """
+
+    kind: Literal["channels", "anyloc"] = "channels"
+    channels: ChannelRetriever = field(default_factory=ChannelRetriever)
+    anyloc: AnyLocRetriever = field(default_factory=AnyLocRetriever)
+
+    def __call__(self, queries: Sequence[Raster], tiles: Sequence[Raster]) -> Array:
+        """Likeness by the chosen one; see `Retriever`."""
+        likeness: Array = self.engine(queries, tiles)
+        return likeness
+
+
+_: type[DenseMatcher] = MatcherOptions
+_retriever: type[Retriever] = RetrieverOptions

@@ -35,6 +35,11 @@ class SemanticLabeler:
     device: str = "auto"
     side_px: int = 1024
 
+    def ready(self) -> tuple[Path, ...]:
+        """The folder that will be read; see `__call__` for what is raised where something is missing."""
+        require("transformers", "transformers")
+        return (find("upernet-tiny", "model", self.weights),)
+
     def __call__(self, image: Image) -> Mask:
         """Ground-like pixels (h, w) of a photo (h, w, 3); see `GroundLabeler`.
 
@@ -43,8 +48,7 @@ class SemanticLabeler:
             InputError: the folder holds no such model, not all of it, or none whose classes have ground among them.
         """
         device = torch_device(self.device)
-        require("transformers", "transformers")
-        folder = find("upernet-tiny", "model", self.weights)
+        (folder,) = self.ready()
         processor, network = _network(folder, device)
         return ground_mask(processor, network, image, self.side_px, folder, device)
 

@@ -59,15 +59,16 @@ def estimate_gravity(
     options = options or OrientOptions()
     rays = component.points[component.obs_point] - component.centres[component.obs_camera]
     distance = float(np.median(np.linalg.norm(rays, axis=1)))
+    found = "labelled ground"
     if ground is None or np.count_nonzero(ground) < options.min_ground_points:
-        ground = np.ones(len(component.points), dtype=bool)
+        ground, found = np.ones(len(component.points), dtype=bool), "plane"
     flat, down = component.points[ground], rays[ground[component.obs_point]]
     plane = _ground_plane(flat, options.plane_threshold_ratio * distance, rng)
     normal = plane.normal * _sign(plane.normal, down)
     horizon, roll_deg = horizon_information(component, normal, options)
     slope = np.radians(options.terrain_slope_deg)
-    ground = (np.eye(3) - np.outer(normal, normal)) / slope**2
-    values, vectors = np.linalg.eigh(horizon + ground)
+    level = (np.eye(3) - np.outer(normal, normal)) / slope**2
+    values, vectors = np.linalg.eigh(horizon + level)
     up = vectors[:, 0] * np.sign(vectors[:, 0] @ normal)
     tangent_values, tangent = np.linalg.eigh(horizon)
     cameras_up = tangent[:, 0] * np.sign(tangent[:, 0] @ normal)
@@ -82,7 +83,7 @@ def estimate_gravity(
         sigma_deg=float(np.degrees(np.sqrt(1 / values[1]))),
         plane_height=plane_height,
         camera_height=camera_height,
-        method=f"plane and {len(component.cameras)} cameras level to {roll_deg:.1f} deg" if determined else "plane",
+        method=f"{found} and {len(component.cameras)} cameras level to {roll_deg:.1f} deg" if determined else found,
         disagreement_deg=_angle_deg(cameras_up, normal) if determined else float("nan"),
     )
 

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from skymoor.errors import DegenerateGeometry
-from skymoor.types import Array, Camera, Component, Gravity, Image, Photos
+from skymoor.types import Array, Camera, Component, Gravity, Image, Mask, Photos
 
 REACH_DEG = (15.0, 10.0, 5.0)  # of an edge from upright, as the estimate sharpens
 
@@ -30,6 +30,7 @@ class UprightOptions:
         min_edge_ratio: shorter edges, relative to the photo's longer side, say little.
         min_edges: fewer leave it to the cameras.
         lean_deg: walls and posts lean together by so much: up is not believed to be better known.
+        min_ground_points: fewer points marked as ground do not say how high it is.
         eye_ratio: where no ground is seen, the height of the cameras above it as a share of the distance of the points.
     """
 
@@ -38,14 +39,18 @@ class UprightOptions:
     min_edge_ratio: float = 0.03
     min_edges: int = 30
     lean_deg: float = 0.15
+    min_ground_points: int = 20
     eye_ratio: float = 0.15
 
 
-def estimate_ground_gravity(component: Component, photos: Photos, options: UprightOptions | None = None) -> Gravity:
+def estimate_ground_gravity(
+    component: Component, photos: Photos, options: UprightOptions | None = None, *, ground: Mask | None = None
+) -> Gravity:
     """Find up in a component of photos from the ground.
 
-    The height of the ground is that of the lowest points near by: a guess, good to a third or so of the cameras'
-    height, from which `camera_height` is below the truth where the foot of the wall is hidden.
+    The height of the ground is that of the points near by that are marked as ground in `ground` (n,), see
+    `ground_points`. Without them, or with too few, it is that of the lowest points: a guess, good to a third or so of
+    the cameras' height, from which `camera_height` is below the truth where the foot of the wall is hidden.
 
     Raises:
         DegenerateGeometry: fewer than three cameras, or no points.
@@ -64,14 +69,17 @@ def estimate_ground_gravity(component: Component, photos: Photos, options: Uprig
             break
         up, edges_deg = _direction_across(normals, weights, up)
         sigma_deg = float(np.hypot(edges_deg, options.lean_deg))
-    plane_height, seen = _ground_height(component, up, options)
+    plane_height, seen = _labelled_height(component, up, ground, options), "on labelled ground"
+    if plane_height is None:
+        plane_height, in_sight = _ground_height(component, up, options)
+        seen = "" if in_sight else "no ground in sight"
     found = f"{lines} upright edges" if lines >= options.min_edges else f"{len(component.cameras)} cameras held level"
     return Gravity(
         up=up,
         sigma_deg=sigma_deg,
         plane_height=plane_height,
         camera_height=float(np.median(component.centres @ up)) - plane_height,
-        method=found if seen else f"{found}, no ground in sight",
+        method=", ".join(filter(None, (found, seen))),
         disagreement_deg=float(np.degrees(np.arccos(np.clip(up @ held, -1, 1)))),
     )
 
@@ -145,6 +153,21 @@ def _direction_across(normals: Array, weights: Array, up: Array, floor_deg: floa
         up = vectors[:, 0] * (1.0 if vectors[:, 0] @ up >= 0 else -1.0)
         sigma = max(1.4826 * float(np.median(np.abs(normals @ up))), float(np.radians(floor_deg)))
     return up, float(np.degrees(sigma / np.sqrt(max(float(values[1]), 1e-9))))
+
+
+def _labelled_height(component: Component, up: Array, ground: Mask | None, options: UprightOptions) -> float | None:
+    """Median height along `up` of the ground near the cameras; None if too little of it is known, or it is above them.
+
+    Labels err at the foot of things, and ground far away may be higher or lower.
+    """
+    if ground is None:
+        return None
+    rays = component.points[component.obs_point] - component.centres[component.obs_camera]
+    distance = np.linalg.norm(rays, axis=1)
+    near = np.unique(component.obs_point[distance < 1.2 * np.median(distance)])
+    marked = near[ground[near]]
+    height = float(np.median(component.points[marked] @ up)) if len(marked) >= options.min_ground_points else np.inf
+    return height if height < np.median(component.centres @ up) else None
 
 
 def _ground_height(component: Component, up: Array, options: UprightOptions) -> tuple[float, bool]:

@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Photos to components: structure from motion from nothing but pixels."""
 
+from skymoor.reconstruct._aliked import AlikedPairMatcher
+from skymoor.reconstruct._colmap_aliked import ColmapAlikedMatcher
 from skymoor.reconstruct._dedode import DedodeDetector
 from skymoor.reconstruct._dedode_roma import DedodeRomaMatcher, DenseWarp, KeypointDetector
 from skymoor.reconstruct._doppelgangers import DoppelgangerClassifier
 from skymoor.reconstruct._sift import SiftMatcher
 from skymoor.reconstruct.calibration import with_focal
 from skymoor.reconstruct.doppelgangers import ConflictFilter
+from skymoor.reconstruct.engines import PairFilterOptions, PairMatcherOptions
 from skymoor.reconstruct.lenses import LensOptions
 from skymoor.reconstruct.mapping import ReconstructOptions, ground_options, reconstruct
 from skymoor.reconstruct.protocol import PairFilter, PairMatcher, ViewGraph
 
 __all__ = [
+    "AlikedPairMatcher",
+    "ColmapAlikedMatcher",
     "ConflictFilter",
     "DedodeDetector",
     "DedodeRomaMatcher",
@@ -20,7 +25,9 @@ __all__ = [
     "KeypointDetector",
     "LensOptions",
     "PairFilter",
+    "PairFilterOptions",
     "PairMatcher",
+    "PairMatcherOptions",
     "ReconstructOptions",
     "SiftMatcher",
     "ViewGraph",

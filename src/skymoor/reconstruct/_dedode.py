@@ -11,11 +11,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from skymoor.errors import InputError
 from skymoor.optional import require, torch_device
+from skymoor.pictures import as_tensor, fitted
 from skymoor.types import Array, Image
 from skymoor.weights import find, load_into
 
@@ -40,6 +40,11 @@ class DedodeDetector:
         if self.side_px < 64 or self.max_keypoints < 1:
             raise InputError(f"side_px = {self.side_px}, max_keypoints = {self.max_keypoints}: 64 and 1 at least")
 
+    def ready(self) -> tuple[Path, ...]:
+        """The files that will be read; see `__call__` for what is raised where something is missing."""
+        require("kornia.feature", "kornia")
+        return (find("dedode-b", "dedode_detector_L.pth", self.weights),)
+
     def __call__(self, image: Image) -> Array:
         """Key points (n, 2) of a photo (h, w, 3), in its pixels.
 
@@ -50,15 +55,11 @@ class DedodeDetector:
         import torch
 
         device = torch_device(self.device)
-        require("kornia.feature", "kornia")
-        network = _network(find("dedode-b", "dedode_detector_L.pth", self.weights), device)
+        network = _network(*self.ready(), device)
         h, w = image.shape[:2]
-        ratio = min(1.0, self.side_px / max(h, w))
-        size = (max(1, round(w * ratio)), max(1, round(h * ratio)))
-        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if ratio < 1 else image
-        picture = torch.from_numpy(np.ascontiguousarray(small)).permute(2, 0, 1)[None].to(device).float() / 255
+        picture, _ = fitted(image, self.side_px, 1)
         with torch.inference_mode():
-            found, _ = network.detect(picture, n=min(self.max_keypoints, size[0] * size[1]))
+            found, _ = network.detect(as_tensor(picture, device), n=min(self.max_keypoints, picture[..., 0].size))
         # From -1 at the left edge of the first pixel to 1 at the right edge of the last.
         return np.asarray((found[0].double().cpu().numpy() + 1) / 2 * [w, h], np.float64)
 

@@ -7,26 +7,23 @@ other photo, and the key point there is its match.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
-import pycolmap
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
+from skymoor.choice import files_of
+from skymoor.pictures import fitted
 from skymoor.reconstruct._dedode import DedodeDetector
-from skymoor.reconstruct._sift import SiftMatcher
-from skymoor.reconstruct.pairs import exhaustive_pairs, preemptive_pairs
-from skymoor.reconstruct.protocol import PairMatcher, colmap_name
+from skymoor.reconstruct.database import Matched, coarsest_px, enter_photos, likely_pairs, write_verified
+from skymoor.reconstruct.protocol import PairMatcher
 from skymoor.types import Array, Array32, Image, Photos, Progress, Raster, Warp
-
-RETRIEVAL_PX = 800
 
 
 class KeypointDetector(Protocol):
@@ -69,67 +66,51 @@ class DedodeRomaMatcher:
     neighbours: int = 20
     min_matches: int = 15
 
+    def ready(self) -> tuple[Path, ...]:
+        """The files that both engines will read. Raises what they raise."""
+        return files_of(self.dense, self.detector)
+
     def __call__(self, photos: Photos, database: Path, folder: Path, *, seed: int, progress: Progress) -> None:
         """Fill `database`; see `PairMatcher`. Raises what the two engines raise."""
-        SiftMatcher(shared_camera=self.shared_camera)._enter(photos, database)
-        names = [colmap_name(k, size) for k, size in enumerate(photos.sizes)]
         n = len(photos)
+        enter_photos(photos, database, shared_camera=self.shared_camera)
         keypoints = []
         for k, name in enumerate(photos.names):
             keypoints.append(self.detector(photos.read(name)))
             progress(k + 1, 3 * n)
-        pairs = self._pairs(photos)
-        verified = []
-        with pycolmap.Database.open(database) as db:
-            ids = [_image_id(db, name) for name in names]
-            for image_id, px in zip(ids, keypoints, strict=True):
-                db.write_keypoints(image_id, px.astype(np.float32))
-            for done, (i, j, index) in enumerate(self._matched(photos, keypoints, pairs)):
-                if len(index) >= self.min_matches:
-                    db.write_matches(ids[i], ids[j], index)
-                    verified.append(f"{names[i]} {names[j]}\n")
-                progress(n + 2 * n * (done + 1) // (len(pairs) + 1), 3 * n)
-        (folder / "pairs.txt").write_text("".join(verified))
-        verification = pycolmap.TwoViewGeometryOptions()
-        verification.ransac.random_seed = seed
-        # The key points are as good as the pixels that they were found in.
-        verification.ransac.max_error = max(verification.ransac.max_error, 2 * self._coarsest(photos))
-        if verified:
-            pycolmap.verify_matches(database, folder / "pairs.txt", verification)
+        pairs = likely_pairs(photos, exhaustive_below=self.exhaustive_below, neighbours=self.neighbours)
+        write_verified(
+            photos,
+            database,
+            folder,
+            keypoints,
+            self._matched(photos, keypoints, pairs, lambda done: progress(n + 2 * n * done // len(pairs), 3 * n)),
+            min_matches=self.min_matches,
+            pixel_px=coarsest_px(photos, self.side_px),
+            seed=seed,
+        )
         progress(3 * n, 3 * n)
 
-    def _pairs(self, photos: Photos) -> list[tuple[int, int]]:
-        if len(photos) <= self.exhaustive_below:
-            return exhaustive_pairs(len(photos))
-        return preemptive_pairs([_largest(photos.read(name)) for name in photos.names], neighbours=self.neighbours)
-
     def _matched(
-        self, photos: Photos, keypoints: Sequence[Array], pairs: Sequence[tuple[int, int]]
-    ) -> Iterator[tuple[int, int, NDArray[np.uint32]]]:
+        self,
+        photos: Photos,
+        keypoints: Sequence[Array],
+        pairs: Sequence[tuple[int, int]],
+        report: Callable[[int], None],
+    ) -> Iterator[Matched]:
         @lru_cache(maxsize=16)
         def small(index: int) -> Raster:
-            return _reduced(photos.read(photos.names[index]), self.side_px)
+            picture, _ = fitted(photos.read(photos.names[index]), self.side_px, 1)
+            return Raster(picture, np.ones(picture.shape[:2], bool))
 
-        for i, j in pairs:
+        for done, (i, j) in enumerate(pairs):
             a, b = small(i), small(j)
             px_a, px_b = (
                 keypoints[k] * (np.array(raster.mask.shape[::-1]) / photos.sizes[k]) for k, raster in ((i, a), (j, b))
             )
-            yield (
-                i,
-                j,
-                match_keypoints(
-                    self.dense(a, b),
-                    px_a,
-                    px_b,
-                    max_distance_px=self.max_distance_px,
-                    min_confidence=self.min_confidence,
-                ),
-            )
-
-    def _coarsest(self, photos: Photos) -> float:
-        """How many pixels of the largest photo one of the warp is."""
-        return max(1.0, max((max(size) for size in photos.sizes), default=0) / self.side_px)
+            limits = {"max_distance_px": self.max_distance_px, "min_confidence": self.min_confidence}
+            yield i, j, match_keypoints(self.dense(a, b), px_a, px_b, **limits)
+            report(done + 1)
 
 
 def match_keypoints(
@@ -164,29 +145,3 @@ def _led_to(
     good = inside & sure & np.isfinite(there).all(axis=1)
     apart, index = cKDTree(target).query(np.where(good[:, None], there, 0.0))
     return np.where(good & (apart <= max_distance_px), index, -1)
-
-
-def _image_id(db: pycolmap.Database, name: str) -> int:
-    image = db.read_image_with_name(name)
-    if image is None:
-        raise LookupError(f"{name} is not in the database")
-    return int(image.image_id)
-
-
-def _reduced(image: Image, side_px: int) -> Raster:
-    h, w = image.shape[:2]
-    ratio = min(1.0, side_px / max(h, w))
-    size = (max(1, round(w * ratio)), max(1, round(h * ratio)))
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if ratio < 1 else image
-    return Raster(np.asarray(small, np.uint8), np.ones(size[::-1], bool))
-
-
-def _largest(image: Image, count: int = 512) -> Array32:
-    """Unit descriptors (at most `count`, 128) of a photo's largest SIFT features."""
-    grey = cv2.cvtColor(_reduced(image, RETRIEVAL_PX).rgb, cv2.COLOR_RGB2GRAY)
-    points, descriptors = cv2.SIFT.create(nfeatures=4 * count).detectAndCompute(grey, None)
-    if descriptors is None or not len(points):
-        return np.zeros((0, 128), np.float32)
-    largest = np.argsort([-point.size for point in points], kind="stable")[:count]
-    root = np.sqrt(descriptors[largest] / np.maximum(descriptors[largest].sum(axis=1, keepdims=True), 1e-9))
-    return np.asarray(root, np.float32)

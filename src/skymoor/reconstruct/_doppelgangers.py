@@ -53,6 +53,15 @@ class DoppelgangerClassifier:
                 f"min_probability = {self.min_probability}, side_px = {self.side_px}: from 0 to 1, and 64 at least"
             )
 
+    @property
+    def rounds(self) -> int:
+        """Once: it says the same of the same pair."""
+        return 1
+
+    def ready(self) -> tuple[Path, ...]:
+        """The file that will be read; see `__call__` for what is raised where it is missing."""
+        return (find("doppelgangers", "doppelgangers_classifier_loftr.pt", self.weights),)
+
     def __call__(self, graph: ViewGraph) -> list[int]:
         """Rows of `graph.pairs` to keep; see `PairFilter`.
 
@@ -66,8 +75,7 @@ class DoppelgangerClassifier:
     def probabilities(self, graph: ViewGraph) -> Array:
         """Of showing the same place, (n pairs,); errors as of a call."""
         device = torch_device(self.device)
-        name = "doppelgangers_classifier_loftr.pt"
-        network = _network(find("doppelgangers", name, self.weights), device)
+        network = _network(*self.ready(), device)
 
         @lru_cache(maxsize=32)
         def photo(index: int) -> tuple[Image, Array]:

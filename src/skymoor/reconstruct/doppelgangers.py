@@ -37,6 +37,7 @@ class ConflictFilter:
         min_overlap: nor do groups of which less is expected to be shared than this part of what the smaller one
             shares within itself: corners of buildings hide what a camera beyond them is expected to see.
         conflict_ratio: two groups contradict each other if they share less than this part of what is usual.
+        rounds: of looking at the reconstruction and having it made again; another one shows other contradictions.
     """
 
     max_angle_deg: float = 20.0
@@ -45,6 +46,7 @@ class ConflictFilter:
     min_expected: int = 40
     min_overlap: float = 0.1
     conflict_ratio: float = 0.3
+    rounds: int = 3
 
     def __call__(self, graph: ViewGraph) -> list[int]:
         """Rows of `graph.pairs` to keep; see `PairFilter`."""

@@ -23,6 +23,8 @@ from skymoor.types import Array, Mask
 
 MAX_ERROR_PX, MIN_ANGLE_DEG = 4.0, 1.5  # of an observation, and of the rays to a point: COLMAP's own limits
 
+COLMAP_FOCAL_WIDTHS = 0.1, 10.0  # within which COLMAP itself takes a lens for one
+
 
 @dataclass(frozen=True)
 class LensOptions:
@@ -93,6 +95,18 @@ def share_lenses(model: pycolmap.Reconstruction, options: LensOptions) -> pycolm
 def is_real(camera: pycolmap.Camera, options: LensOptions) -> bool:
     """Whether a lens could be one; an adjustment that has lost its way leaves others behind."""
     return not camera.has_bogus_params(options.min_focal_widths, options.max_focal_widths, options.max_distortion)
+
+
+def without_impossible(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
+    """The model without photos through lenses that cannot be, such as of negative focal length.
+
+    COLMAP's last adjustment leaves them behind where a photo has lost its way, and nothing can be computed with them.
+    """
+    for camera_id, users in _users(model).items():
+        if model.camera(camera_id).has_bogus_params(*COLMAP_FOCAL_WIDTHS, np.inf):
+            for i in users:
+                model.deregister_frame(model.image(i).frame_id)
+    return model
 
 
 def without_doubtful(model: pycolmap.Reconstruction, options: LensOptions) -> pycolmap.Reconstruction:

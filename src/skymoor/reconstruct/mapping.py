@@ -11,12 +11,20 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pycolmap
 
+from skymoor.choice import files_of
 from skymoor.colmap import component_from_colmap, mean_colours
 from skymoor.reconstruct._sift import SiftMatcher
 from skymoor.reconstruct.calibration import adjust, calibrate
 from skymoor.reconstruct.doppelgangers import ConflictFilter
 from skymoor.reconstruct.graph import drop_pairs
-from skymoor.reconstruct.lenses import LensOptions, share_lenses, shared_lenses, without_doubtful, write_lenses
+from skymoor.reconstruct.lenses import (
+    LensOptions,
+    share_lenses,
+    shared_lenses,
+    without_doubtful,
+    without_impossible,
+    write_lenses,
+)
 from skymoor.reconstruct.protocol import PairFilter, PairMatcher, colmap_name
 from skymoor.types import Component, Photos, Progress, no_progress
 
@@ -33,8 +41,7 @@ class ReconstructOptions:
             matcher should give each photo a camera of its own then.
         lens: when photos share a lens.
         min_inliers: correspondences with the model that a photo of known lens needs to join it, where lenses are mixed.
-        pair_filter: the engine that finds pairs of photos of different places that look alike.
-        filter_rounds: how often it may look at the result and have it mapped again; 0 keeps all pairs.
+        pair_filter: the engine that finds pairs of photos of different places that look alike; None keeps all pairs.
     """
 
     matcher: PairMatcher = field(default_factory=SiftMatcher)
@@ -43,14 +50,17 @@ class ReconstructOptions:
     mixed_lenses: bool = False
     lens: LensOptions = field(default_factory=LensOptions)
     min_inliers: int = 15
-    pair_filter: PairFilter = field(default_factory=ConflictFilter)
-    filter_rounds: int = 0
+    pair_filter: PairFilter | None = None
+
+    def ready(self) -> tuple[Path, ...]:
+        """The files that the engines will read. Raises what they raise."""
+        return files_of(self.matcher, self.pair_filter)
 
 
 def ground_options() -> ReconstructOptions:
     """For photos from the ground, by several people and by security cameras."""
     matcher = SiftMatcher(shared_camera=False, exhaustive_below=60)
-    return ReconstructOptions(matcher, mixed_lenses=True, filter_rounds=3)
+    return ReconstructOptions(matcher, mixed_lenses=True, pair_filter=ConflictFilter())
 
 
 def reconstruct(
@@ -95,15 +105,17 @@ def _improved(
 ) -> list[pycolmap.Reconstruction]:
     """Mapped again, once with the lenses that were found, and as long as pairs of look-alikes come to light."""
     names = {colmap_name(i, size): name for i, (name, size) in enumerate(zip(photos.names, photos.sizes, strict=True))}
-    for round_ in range(options.filter_rounds + 2):
+    pair_filter = options.pair_filter
+    rounds = 0 if pair_filter is None else pair_filter.rounds
+    for round_ in range(rounds + 2):
         if options.mixed_lenses:
             models = [share_lenses(model, options.lens) for model in models]
         certain = _certain(models, options)
         mapping, changed = _mapping_options(options, seed), False
         with pycolmap.Database.open(database) as db:
-            if round_ < options.filter_rounds:
+            if pair_filter is not None and round_ < rounds:
                 components = tuple(component_from_colmap(model, names) for model in certain)
-                changed = drop_pairs(db, photos, components, options.pair_filter) > 0
+                changed = drop_pairs(db, photos, components, pair_filter) > 0
             if options.mixed_lenses:
                 mapping.constant_cameras = write_lenses(db, shared_lenses(models, options.lens))
                 mapping.mapper.abs_pose_min_num_inliers = options.min_inliers
@@ -125,7 +137,8 @@ def _map(
     database: Path, folder: Path, options: pycolmap.IncrementalPipelineOptions, report: Callable[[], None]
 ) -> list[pycolmap.Reconstruction]:
     models = pycolmap.incremental_mapping(database, folder, folder, options, next_image_callback=report)
-    return _worth_keeping(list(models.values()))
+    possible = [without_impossible(model) for model in models.values()]
+    return _worth_keeping([model for model in possible if model.num_reg_images() >= options.min_model_size])
 
 
 def _worth_keeping(models: list[pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:

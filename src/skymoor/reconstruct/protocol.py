@@ -36,7 +36,13 @@ class ViewGraph:
 
 
 class PairFilter(Protocol):
-    """Finds the pairs of photos that match although they show different places."""
+    """Finds the pairs of photos that match although they show different places.
+
+    `rounds` is how often it is worth asking: photos are mapped again after each answer that leaves out pairs.
+    """
+
+    @property
+    def rounds(self) -> int: ...
 
     def __call__(self, graph: ViewGraph) -> list[int]:
         """Rows of `graph.pairs` that are to be kept, in order."""

@@ -8,6 +8,6 @@ the paper does; `cascade` comes to the same answer with a fraction of the pairs.
 from skymoor.tile_search.cascade import CascadeOptions, cascade
 from skymoor.tile_search.evidence import ConsensusOptions
 from skymoor.tile_search.exhaustive import exhaustive
-from skymoor.tile_search.pictures import PictureOptions
+from skymoor.tile_search.pictures import PictureOptions, tile_px_for
 
-__all__ = ["CascadeOptions", "ConsensusOptions", "PictureOptions", "cascade", "exhaustive"]
+__all__ = ["CascadeOptions", "ConsensusOptions", "PictureOptions", "cascade", "exhaustive", "tile_px_for"]

@@ -91,6 +91,26 @@ class AirborneTiles:
         return np.asarray((xy - [view.x0, view.y0]) / view.pixel)
 
 
+def tile_px_for(
+    maps_level: Sequence[DepthMap], metres_per_unit: float, pixel_m: float, *, least: int = 150, most: int = 900
+) -> int:
+    """The side of tiles that show about as much as photos do (paper, section 3.4, tiling of airborne renders).
+
+    Args:
+        maps_level: photos with their depth, in the unit that `metres_per_unit` is of.
+        metres_per_unit: as metric depth says it.
+        pixel_m: size of a render's pixel.
+        least, most: pixels.
+    """
+    widths = [
+        float(np.nanmedian(m.depth)) * max(m.depth.shape) / m.camera.intrinsics.fx
+        for m in maps_level
+        if np.isfinite(m.depth).any()
+    ]
+    side_px = float(np.median(widths)) * metres_per_unit / pixel_m if widths else 0.0
+    return int(np.clip(round(side_px), least, most))
+
+
 def ground_photo(depth_map: DepthMap, options: PictureOptions | None = None) -> GroundPhoto:
     """What is matched of a levelled photo, and where its pixels lie."""
     options = options or PictureOptions()

@@ -59,6 +59,7 @@ MODEL = "model"  # the folder of a hub's repository
 _HUB = "https://huggingface.co/"
 _ROMA = "https://github.com/Parskatt/storage/releases/download/roma/"
 _DEDODE = "https://github.com/Parskatt/DeDoDe/releases/download/dedode_pretrained_models/"
+_COLMAP = "https://github.com/colmap/colmap/releases/download/3.13.0/"
 _DINOV2 = WeightFile(
     "dinov2_vitl14_pretrain.pth", "https://dl.fbaipublicfiles.com/dinov2/dinov2_vitl14/dinov2_vitl14_pretrain.pth", 1220
 )
@@ -125,7 +126,7 @@ _MATCHERS = (
     ),
     Weights(
         "lightglue-aliked",
-        "LightGlue: matches of ALIKED's key points",
+        "AlikedPairMatcher: LightGlue, which joins ALIKED's key points",
         (
             WeightFile(
                 "aliked_lightglue.pth",
@@ -135,7 +136,33 @@ _MATCHERS = (
         ),
         "Apache-2.0",
         "Apache-2.0",
-        "no engine of skymoor reads it yet",
+    ),
+    Weights(
+        "colmap-aliked",
+        "ColmapAlikedMatcher: the models of COLMAP's own learned features",
+        (
+            WeightFile(
+                "aliked-n16rot.onnx",
+                f"{_COLMAP}aliked-n16rot.onnx",
+                3.0,
+                "39c423d0a6f03d39ec89d3d1d61853765c2fb6a8b8381376c703e5758778a547",
+            ),
+            WeightFile(
+                "aliked-lightglue.onnx",
+                f"{_COLMAP}aliked-lightglue.onnx",
+                None,
+                "b9a5de7204648b18a8cf5dcac819f9d30de1a5961ef03756803c8b86c2dceb8d",
+            ),
+            WeightFile(
+                "bruteforce-matcher.onnx",
+                f"{_COLMAP}bruteforce-matcher.onnx",
+                0.005,
+                "3c1282f96d83f5ffc861a873298d08bbe5219f59af59223f5ceab5c41a182a47",
+            ),
+        ),
+        "BSD-3-Clause",
+        "BSD-3-Clause; LightGlue Apache-2.0",
+        "for builds of pycolmap with ONNX: those on PyPI have none",
     ),
     Weights(
         "efficientloftr",
@@ -150,26 +177,11 @@ _MATCHERS = (
 _STRUCTURE = (
     Weights(
         "dedode-b",
-        "DedodeDetector: the paper's points for structure from motion; DeDoDe L and B",
-        (
-            WeightFile("dedode_detector_L.pth", f"{_DEDODE}dedode_detector_L.pth", 58),
-            WeightFile("dedode_descriptor_B.pth", f"{_DEDODE}dedode_descriptor_B.pth", 54),
-        ),
+        "DedodeDetector: the paper's points for structure from motion; DeDoDe's detector L",
+        (WeightFile("dedode_detector_L.pth", f"{_DEDODE}dedode_detector_L.pth", 58),),
         "MIT",
         "MIT",
-        "DedodeRomaMatcher reads the detector alone, and takes the matches from RoMa",
-    ),
-    Weights(
-        "dedode-g",
-        "DeDoDe L and G",
-        (
-            WeightFile("dedode_detector_L.pth", f"{_DEDODE}dedode_detector_L.pth", 58),
-            WeightFile("dedode_descriptor_G.pth", f"{_DEDODE}dedode_descriptor_G.pth", None),
-            _DINOV2,
-        ),
-        "MIT",
-        "MIT; DINOv2 Apache-2.0",
-        "no engine of skymoor reads it yet",
+        "its matches are those of RoMa",
     ),
     Weights(
         "doppelgangers",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the learned matchers share: pictures as they want them."""
+"""Pictures as networks want them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from skymoor.types import Array, Image, Raster
+from skymoor.types import Array, Image
 
 if TYPE_CHECKING:
     import torch
@@ -36,12 +36,3 @@ def as_tensor(picture: Image, device: str) -> torch.Tensor:
 
     channels = picture[..., None] if picture.ndim == 2 else picture
     return torch.from_numpy(np.ascontiguousarray(channels)).permute(2, 0, 1)[None].to(device).float() / 255
-
-
-def inner(raster: Raster, border_px: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """The mask without what lies within `border_px` of its edge, where what a network sees is the edge.
-
-    The edge of the picture itself is no edge of the mask.
-    """
-    side = 2 * border_px + 1
-    return np.asarray(cv2.erode(raster.mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0)

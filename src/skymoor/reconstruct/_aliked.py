@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ALIKED's key points as matches of photos: learned, and bearable on a CPU.
+
+Zhao et al. 2023 for the key points; with weights of its own, LightGlue joins them (Lindenberger, Sarlin and Pollefeys,
+ICCV 2023), through the library kornia.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from skymoor.aliked import AlikedFeatures
+from skymoor.errors import InputError
+from skymoor.optional import require, torch_device
+from skymoor.reconstruct.database import Matched, coarsest_px, enter_photos, write_verified
+from skymoor.reconstruct.pairs import exhaustive_pairs, preemptive_pairs
+from skymoor.reconstruct.protocol import PairMatcher
+from skymoor.types import Array, Photos, Progress
+from skymoor.weights import find, load_into
+
+if TYPE_CHECKING:
+    import torch
+
+Described = tuple[Array, "torch.Tensor"]
+RETRIEVAL = 512  # of each photo's surest key points
+
+
+@dataclass(frozen=True)
+class AlikedPairMatcher:
+    """Key points of each photo once; those that are each other's nearest, or those that LightGlue joins, are matches.
+
+    Attributes:
+        features: how key points are found.
+        join: "nearest", or "lightglue", which is stronger and wants a GPU.
+        lightglue: path of aliked_lightglue.pth; empty for where `skymoor weights fetch lightglue-aliked` puts it.
+        max_ratio: of "nearest": closer than this share of the distance to the next best, both ways.
+        min_confidence: of "lightglue".
+        shared_camera: photos of one size are taken by one camera.
+        exhaustive_below: sets of at most this many photos match every pair.
+        neighbours: partners per photo in larger sets.
+        min_matches: pairs with fewer are not worth verifying.
+    """
+
+    features: AlikedFeatures = field(default_factory=AlikedFeatures)
+    join: Literal["nearest", "lightglue"] = "nearest"
+    lightglue: str = ""
+    max_ratio: float = 0.95
+    min_confidence: float = 0.1
+    shared_camera: bool = True
+    exhaustive_below: int = 40
+    neighbours: int = 20
+    min_matches: int = 15
+
+    def __post_init__(self) -> None:
+        if not 0 < self.max_ratio <= 1 or not 0 <= self.min_confidence <= 1:
+            raise InputError(f"max_ratio = {self.max_ratio}, min_confidence = {self.min_confidence}: from 0 to 1")
+
+    def ready(self) -> tuple[Path, ...]:
+        """The files that will be read; see `__call__` for what is raised where something is missing."""
+        if self.join == "nearest":
+            return self.features.ready()
+        return (*self.features.ready(), find("lightglue-aliked", "aliked_lightglue.pth", self.lightglue))
+
+    def __call__(self, photos: Photos, database: Path, folder: Path, *, seed: int, progress: Progress) -> None:
+        """Fill `database`; see `PairMatcher`.
+
+        Raises:
+            BackendUnavailable: kornia or weights are missing.
+            InputError: the weights are not those of ALIKED n16rot or of LightGlue for it.
+        """
+        n = len(photos)
+        enter_photos(photos, database, shared_camera=self.shared_camera)
+        found: list[Described] = []
+        for k, name in enumerate(photos.names):
+            found.append(self.features(photos.read(name)))
+            progress(k + 1, 3 * n)
+        pairs = self._pairs(found)
+        write_verified(
+            photos,
+            database,
+            folder,
+            [px for px, _ in found],
+            self._matched(photos, found, pairs, lambda done: progress(n + 2 * n * done // len(pairs), 3 * n)),
+            min_matches=self.min_matches,
+            # Key points lie between the pixels of the reduced photo.
+            pixel_px=coarsest_px(photos, self.features.side_px) / 2,
+            seed=seed,
+        )
+        progress(3 * n, 3 * n)
+
+    def _pairs(self, found: Sequence[Described]) -> list[tuple[int, int]]:
+        if len(found) <= self.exhaustive_below:
+            return exhaustive_pairs(len(found))
+        surest = [np.asarray(described[:RETRIEVAL].float().cpu().numpy(), np.float32) for _, described in found]
+        return preemptive_pairs(surest, neighbours=self.neighbours)
+
+    def _matched(
+        self,
+        photos: Photos,
+        found: Sequence[Described],
+        pairs: Sequence[tuple[int, int]],
+        report: Callable[[int], None],
+    ) -> Iterator[Matched]:
+        join = self._nearest if self.join == "nearest" else self._lightglue
+        for done, (i, j) in enumerate(pairs):
+            enough = min(len(found[i][0]), len(found[j][0])) >= 2
+            index = join(found[i], found[j], photos.sizes[i], photos.sizes[j]) if enough else np.zeros((0, 2))
+            yield i, j, np.asarray(index, np.uint32)
+            report(done + 1)
+
+    def _nearest(self, a: Described, b: Described, *_: tuple[int, int]) -> Any:
+        _, index = require("kornia.feature", "kornia").match_smnn(a[1], b[1], self.max_ratio)
+        return index.cpu().numpy()
+
+    def _lightglue(self, a: Described, b: Described, *sizes: tuple[int, int]) -> Any:
+        import torch
+
+        device = torch_device(self.features.device)
+        network = _lightglue(self.ready()[-1], device)
+        given = {
+            f"image{k}": {
+                # LightGlue has been trained with pixels whose first has its centre at (0, 0).
+                "keypoints": torch.from_numpy(px - 0.5).float().to(device)[None],
+                "descriptors": described[None],
+                "image_size": torch.tensor([size], device=device),
+            }
+            for k, ((px, described), size) in enumerate(zip((a, b), sizes, strict=True))
+        }
+        with torch.inference_mode():
+            found = network(given)
+        sure = found["scores"][0] >= self.min_confidence
+        return found["matches"][0][sure].cpu().numpy()
+
+
+_: type[PairMatcher] = AlikedPairMatcher
+
+
+@lru_cache(maxsize=1)
+def _lightglue(weights: Path, device: str) -> Any:
+    library = require("kornia.feature", "kornia").LightGlue
+    # The name of a feature would have the library fetch weights.
+    network = library(features=None, **{**library.features["aliked"], "weights": None})
+    load_into(network, weights)
+    return network.to(device).eval()

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Photos, key points and matches into a COLMAP database, for the engines that find them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from skymoor.reconstruct.pairs import exhaustive_pairs, preemptive_pairs
+from skymoor.reconstruct.protocol import colmap_name
+from skymoor.types import Array, Array32, Image, Photos
+
+T = TypeVar("T")
+Matched = tuple[int, int, NDArray[np.uint32]]
+
+RETRIEVAL_PX = 800
+
+
+def enter_photos(photos: Photos, database: Path, *, shared_camera: bool) -> None:
+    """Cameras and images in the order of the photos.
+
+    Extraction would number them as its threads finish, and the mapping's result depends on the numbers.
+    """
+    # RADIAL for a shared camera: a hundred photos determine a second term, a single photo does not.
+    model = "RADIAL" if shared_camera else "SIMPLE_RADIAL"
+    cameras: dict[tuple[int, int], tuple[int, int]] = {}
+    with pycolmap.Database.open(database) as db:
+        for index, size in enumerate(photos.sizes):
+            if size not in cameras or not shared_camera:
+                cameras[size] = _new_camera(db, model, size)
+            camera_id, rig_id = cameras[size]
+            image_id = db.write_image(pycolmap.Image(name=colmap_name(index, size), camera_id=camera_id))
+            frame = pycolmap.Frame(rig_id=rig_id)
+            frame.add_data_id(db.read_image(image_id).data_id)
+            db.write_frame(frame)
+
+
+def write_photos(photos: Photos, folder: Path, *, grey: bool) -> None:
+    """Photos as files for COLMAP, which reads focal lengths out of EXIF when it can; these have none, and are quick.
+
+    Without `grey` they are of colour, under names for grey ones: COLMAP looks at what is in the file.
+    """
+    for index, (name, size) in enumerate(zip(photos.names, photos.sizes, strict=True)):
+        path = folder / colmap_name(index, size)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        code = cv2.COLOR_RGB2GRAY if grey else cv2.COLOR_RGB2BGR
+        _, content = cv2.imencode(".pgm" if grey else ".ppm", cv2.cvtColor(photos.read(name), code))
+        path.write_bytes(content.tobytes())
+
+
+def extract(
+    photos: Photos,
+    database: Path,
+    folder: Path,
+    options: pycolmap.FeatureExtractionOptions,
+    *,
+    shared_camera: bool,
+    report: Callable[[int], None],
+) -> None:
+    """Key points and descriptors by COLMAP, of photos that `write_photos` and `enter_photos` were given."""
+    mode = pycolmap.CameraMode.SINGLE if shared_camera else pycolmap.CameraMode.PER_IMAGE
+    reader = pycolmap.ImageReaderOptions(camera_model="RADIAL" if shared_camera else "SIMPLE_RADIAL")
+    device = pycolmap.Device.auto if options.use_gpu else pycolmap.Device.cpu
+    done = 0
+    for size in sorted(set(photos.sizes)):
+        names = [colmap_name(i, s) for i, s in enumerate(photos.sizes) if s == size]
+        for block in blocks(names, 16):
+            pycolmap.extract_features(database, folder, block, mode, reader, options, device)
+            done += len(block)
+            report(done)
+
+
+def match(
+    photos: Photos,
+    database: Path,
+    folder: Path,
+    pairs: Sequence[tuple[int, int]],
+    options: pycolmap.FeatureMatchingOptions,
+    *,
+    block_pairs: int,
+    seed: int,
+    report: Callable[[int], None],
+) -> None:
+    """Match and verify pairs by COLMAP, `block_pairs` at a time; `report` is told how many are done."""
+    names = [colmap_name(i, size) for i, size in enumerate(photos.sizes)]
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = seed
+    done = 0
+    for block in blocks(pairs, block_pairs):
+        list_file = folder / "pairs.txt"
+        list_file.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in block))
+        pycolmap.match_image_pairs(
+            database,
+            matching_options=options,
+            pairing_options=pycolmap.ImportedPairingOptions(match_list_path=str(list_file)),
+            verification_options=verification,
+            device=pycolmap.Device.auto if options.use_gpu else pycolmap.Device.cpu,
+        )
+        done += len(block)
+        report(done)
+
+
+def write_verified(
+    photos: Photos,
+    database: Path,
+    folder: Path,
+    keypoints: Sequence[Array],
+    matched: Iterable[Matched],
+    *,
+    min_matches: int,
+    pixel_px: float,
+    seed: int,
+) -> None:
+    """Key points and matches of another engine, and of the matches those that fit an epipolar geometry.
+
+    Args:
+        photos, database: entered.
+        folder: for a file.
+        keypoints: (n, 2) pixels of each photo.
+        matched: photo numbers and rows (m, 2) of their key points.
+        min_matches: pairs with fewer are not worth verifying.
+        pixel_px: how large a pixel is that key points were found in, where photos were reduced.
+        seed: of the consensus.
+    """
+    names = [colmap_name(k, size) for k, size in enumerate(photos.sizes)]
+    pairs = []
+    with pycolmap.Database.open(database) as db:
+        ids = [stored(db, name).image_id for name in names]
+        for image_id, px in zip(ids, keypoints, strict=True):
+            db.write_keypoints(image_id, px.astype(np.float32))
+        for i, j, index in matched:
+            if len(index) >= min_matches:
+                db.write_matches(ids[i], ids[j], index)
+                pairs.append(f"{names[i]} {names[j]}\n")
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = seed
+    # Key points are as good as the pixels that they were found in.
+    verification.ransac.max_error = max(verification.ransac.max_error, 2 * pixel_px)
+    if pairs:
+        (folder / "pairs.txt").write_text("".join(pairs))
+        pycolmap.verify_matches(database, folder / "pairs.txt", verification)
+
+
+def coarsest_px(photos: Photos, side_px: int) -> float:
+    """How many pixels of the largest photo one is when its long side is reduced to `side_px`."""
+    return max(1.0, max((max(size) for size in photos.sizes), default=0) / side_px)
+
+
+def likely_pairs(photos: Photos, *, exhaustive_below: int, neighbours: int) -> list[tuple[int, int]]:
+    """All pairs of a small set; of a larger one those whose largest SIFT features are alike."""
+    if len(photos) <= exhaustive_below:
+        return exhaustive_pairs(len(photos))
+    return preemptive_pairs([_largest(photos.read(name)) for name in photos.names], neighbours=neighbours)
+
+
+def stored(db: pycolmap.Database, name: str) -> pycolmap.Image:
+    """The image of that name. Raises `LookupError` if there is none."""
+    image = db.read_image_with_name(name)
+    if image is None:
+        raise LookupError(f"{name} is not in the database")
+    return image
+
+
+def threads() -> int:
+    """For COLMAP: as many as there are processors."""
+    return os.cpu_count() or 1
+
+
+def blocks(items: Sequence[T], size: int) -> Iterator[Sequence[T]]:
+    """The items in runs of `size`, so that progress can be told between them."""
+    for start in range(0, len(items), size):
+        yield items[start : start + size]
+
+
+def _new_camera(db: pycolmap.Database, model: str, size: tuple[int, int]) -> tuple[int, int]:
+    """Numbers of a new camera with COLMAP's usual first guess, and of the rig that holds nothing else."""
+    camera = pycolmap.Camera.create_from_model_name(0, model, 1.2 * max(size), *size)
+    camera.camera_id = db.write_camera(camera)
+    rig = pycolmap.Rig()
+    rig.add_ref_sensor(camera.sensor_id)
+    return camera.camera_id, db.write_rig(rig)
+
+
+def _largest(image: Image, count: int = 512) -> Array32:
+    """Unit descriptors (at most `count`, 128) of a photo's largest SIFT features."""
+    ratio = min(1.0, RETRIEVAL_PX / max(image.shape[:2]))
+    grey = cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None, fx=ratio, fy=ratio, interpolation=cv2.INTER_AREA)
+    points, descriptors = cv2.SIFT.create(nfeatures=4 * count).detectAndCompute(grey, None)
+    if descriptors is None or not len(points):
+        return np.zeros((0, 128), np.float32)
+    largest = np.argsort([-point.size for point in points], kind="stable")[:count]
+    root = np.sqrt(descriptors[largest] / np.maximum(descriptors[largest].sum(axis=1, keepdims=True), 1e-9))
+    return np.asarray(root, np.float32)
