@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skymoor.densify import scale_from_metric_depth
+from skymoor.densify import MetricScale, scale_from_metric_depth
 from skymoor.errors import TooFewMatches
 from skymoor.geometry.camera import Intrinsics
 from skymoor.geometry.similarity import Similarity
@@ -59,3 +59,11 @@ def test_photos_that_say_nothing_are_left_out(rng: np.random.Generator) -> None:
     assert len(scale_from_metric_depth(maps, metres).per_photo) == 4
     with pytest.raises(TooFewMatches, match="2 of 4 photos have depths in metres"):
         scale_from_metric_depth(maps[2:], metres[2:])
+
+
+def test_what_is_left_of_a_range() -> None:
+    found = MetricScale(2.0, 0.2, np.array([2.0]))
+    low, high = found.narrowed(0.6, 2.6)
+    assert low == pytest.approx(2.0 * np.exp(-0.5)) and high == 2.6
+    assert found.narrowed(0.0, float("inf")) == pytest.approx((2.0 * np.exp(-0.5), 2.0 * np.exp(0.5)))
+    assert found.narrowed(5.0, 9.0) == (5.0, 9.0)  # it contradicts all of it

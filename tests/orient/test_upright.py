@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
 from skymoor.orient import UprightOptions, estimate_ground_gravity, level_from_gravity
-from skymoor.types import Camera, Component, Gravity, Image, Photos
+from skymoor.types import Camera, Component, Gravity, Image, Mask, Photos
 from walks import EYE_M, WALL_M, reconstructed, walk, wall_points, watchers
 
 Array = NDArray[np.float64]
@@ -72,11 +72,12 @@ def found(
     edges: bool = True,
     points: Array | None = None,
     options: UprightOptions | None = None,
+    ground: Mask | None = None,
 ) -> tuple[Gravity, Component]:
     component = reconstructed(cameras, wall_points() if points is None else points).moved(HIDDEN)
     outlines = windows(lean_deg)
     images = {camera.image: photo(camera, outlines) if edges else blank(camera) for camera in cameras}
-    return estimate_ground_gravity(component, photos_of(images), options), component
+    return estimate_ground_gravity(component, photos_of(images), options, ground=ground), component
 
 
 def error_deg(gravity: Gravity) -> float:
@@ -140,3 +141,24 @@ def test_where_no_ground_is_seen_a_usual_height_is_taken() -> None:
 def test_two_cameras_are_refused() -> None:
     with pytest.raises(DegenerateGeometry):
         found(walk(2, along_m=(8.0, 12.0)))
+
+
+def test_labelled_ground_says_how_high_the_cameras_are() -> None:
+    """Where a bed of flowers hides the foot of the wall, the lowest points are not the ground; labels know better."""
+    rng = np.random.default_rng(3)
+    wall = wall_points(1200)
+    lawn = np.column_stack([rng.uniform(0, WALL_M, 150), rng.uniform(-3, -1, 150), np.zeros(150)])
+    pit = np.column_stack([rng.uniform(0, WALL_M, 60), rng.uniform(-3, -1, 60), np.full(60, -1.0)])
+    points = np.concatenate([wall[wall[:, 2] > 0.5], lawn, pit])
+    guessed, component = found(walk(), points=points)
+    at = HIDDEN.inverse().apply(component.points)
+    labels = np.asarray(np.abs(at[:, 2]) < 0.05)
+    assert 40 < labels.sum() <= 150
+    known, _ = found(walk(), points=points, ground=labels)
+    assert guessed.camera_height / HIDDEN.scale > EYE_M + 0.5
+    assert known.camera_height / HIDDEN.scale == pytest.approx(EYE_M, abs=0.15)
+    assert known.method.endswith("upright edges, on labelled ground")
+    few = labels & (np.cumsum(labels) <= 10)
+    assert found(walk(), points=points, ground=few)[0].plane_height == guessed.plane_height
+    above = np.asarray(at[:, 2] > EYE_M + 0.5)
+    assert found(walk(), points=points, ground=above)[0].plane_height == guessed.plane_height

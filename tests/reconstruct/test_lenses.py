@@ -22,6 +22,7 @@ from skymoor.reconstruct.lenses import (
     share_lenses,
     shared_lenses,
     without_doubtful,
+    without_impossible,
     write_lenses,
 )
 from skymoor.types import Camera
@@ -146,3 +147,17 @@ def test_lenses_are_written_for_their_photos_and_begin_those_of_others(tmp_path:
         np.testing.assert_allclose(b.params, lens.params)
         assert (a.has_prior_focal_length, b.has_prior_focal_length) == (True, False)
         assert c.params[0] == 360  # a lens of another size is no start
+
+
+@pytest.mark.parametrize("focal_px", [-260.0, 1.0, 1e6])
+def test_photos_through_impossible_lenses_are_left_out(focal_px: float) -> None:
+    cameras = walk(8)
+    model = _regrouped(colmap_from_component(reconstructed(cameras, wall_points(300))), [], OPTIONS)
+    names = {model.image(i).name for i in model.reg_image_ids()}
+    assert {model.image(i).name for i in without_impossible(model).reg_image_ids()} == names
+    lost = model.image(min(model.reg_image_ids()))
+    params = model.camera(lost.camera_id).params
+    params[0] = focal_px
+    model.camera(lost.camera_id).params = params
+    left = without_impossible(model)
+    assert {left.image(i).name for i in left.reg_image_ids()} == names - {lost.name}

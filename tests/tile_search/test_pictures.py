@@ -10,7 +10,8 @@ import pytest
 
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
-from skymoor.tile_search.pictures import airborne_tiles, ground_photo, lift_pair, samples_of, shown_shares
+from skymoor.ground import moved_map
+from skymoor.tile_search.pictures import airborne_tiles, ground_photo, lift_pair, samples_of, shown_shares, tile_px_for
 from skymoor.types import Matches2D
 from tile_world import BOXES, PICTURES, PIXEL_M, TileWorld
 
@@ -87,3 +88,17 @@ def test_blind_photos_and_empty_renders(world: TileWorld, rng: np.random.Generat
     empty = [replace(render, confidence=np.zeros_like(render.confidence)) for render in world.renders]
     with pytest.raises(DegenerateGeometry, match="no render"):
         airborne_tiles(empty, PICTURES)
+
+
+def test_tiles_show_as_much_as_photos(world: TileWorld) -> None:
+    """A photo 96 pixels wide through a lens of 76 pixels shows 96/76 of its distance."""
+    maps = world.walk(5)
+    distance_m = np.median([np.nanmedian(m.depth) for m in maps])
+    half = [moved_map(m, Similarity(0.5, np.eye(3), np.zeros(3))) for m in maps]
+    for given, metres_per_unit in ((maps, 1.0), (half, 2.0)):
+        side_px = tile_px_for(given, metres_per_unit, 0.01, least=1, most=10**6)
+        assert side_px == pytest.approx(distance_m * 96 / 76 / 0.01, rel=0.1)
+    assert tile_px_for(maps, 1.0, PIXEL_M) == 150
+    assert tile_px_for(maps, 1.0, 1e-4) == 900
+    blind = [replace(m, depth=np.full_like(m.depth, np.nan)) for m in maps]
+    assert tile_px_for(blind, 1.0, 0.1) == 150

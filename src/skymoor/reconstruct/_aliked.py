@@ -7,6 +7,7 @@ ICCV 2023), through the library kornia.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -146,5 +147,11 @@ def _lightglue(weights: Path, device: str) -> Any:
     library = require("kornia.feature", "kornia").LightGlue
     # The name of a feature would have the library fetch weights.
     network = library(features=None, **{**library.features["aliked"], "weights": None})
-    load_into(network, weights)
+    # Published before the layers had the names that they have today.
+    load_into(
+        network,
+        weights,
+        may_miss=("confidence_thresholds",),
+        renamed=lambda name: re.sub(r"^(self|cross)_attn\.(\d+)", r"transformers.\2.\1_attn", name),
+    )
     return network.to(device).eval()

@@ -7,7 +7,7 @@ import hashlib
 import os
 import pickle
 import warnings
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
@@ -93,18 +93,26 @@ def load_state_dict(path: Path, *, part: str = "") -> dict[str, torch.Tensor]:
     return content
 
 
-def load_into(network: Any, path: Path, *, part: str = "", may_miss: Collection[str] = ()) -> None:
+def load_into(
+    network: Any,
+    path: Path,
+    *,
+    part: str = "",
+    may_miss: Collection[str] = (),
+    renamed: Callable[[str], str] = str,
+) -> None:
     """Load a file's tensors into a network of PyTorch.
 
     Args:
         network: a `torch.nn.Module`.
         path, part: see `load_state_dict`.
         may_miss: names that the network has and the file need not have: constants.
+        renamed: the network's name for a name in the file.
 
     Raises:
         InputError: see `load_state_dict`; or the tensors are those of another network.
     """
-    tensors = load_state_dict(path, part=part)
+    tensors = {renamed(name): tensor for name, tensor in load_state_dict(path, part=part).items()}
     try:
         missing, unexpected = network.load_state_dict(tensors, strict=False)
     except RuntimeError as error:  # shapes that differ
