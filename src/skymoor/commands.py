@@ -20,7 +20,7 @@ from skymoor.pipeline import Job, register_airborne
 from skymoor.pipeline_ground import register_ground_sets
 from skymoor.products import NOT_REGISTERED, PlacedSet, write_products
 from skymoor.reference import read_reference
-from skymoor.screen import Screen, evaluation_table, summary_table
+from skymoor.screen import Screen, accuracy_table, evaluation_table, summary_table
 from skymoor.settings import Options, check_engines
 from skymoor.simulate import SiteOptions
 from skymoor.simulate.site import write_site
@@ -93,6 +93,7 @@ def evaluate(command: Evaluate) -> None:
     with Screen(plain=True) as screen, Store.open(command.run) as store:
         store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})
         screen.show(evaluation_table(rows))
+        screen.show(accuracy_table(rows))
 
 
 def simulate(command: Simulate) -> None:

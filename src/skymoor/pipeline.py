@@ -37,6 +37,7 @@ from skymoor.render import nadir_view
 from skymoor.settings import Options
 from skymoor.store import Store
 from skymoor.types import (
+    Array,
     Array32,
     Camera,
     Component,
@@ -100,9 +101,21 @@ class Placed:
         found = self.registration
         if not found.registered or found.enu_from_level is None:
             return []
+        return [self.component.cameras[k].moved(found.enu_from_level) for k in self._trusted]
+
+    @property
+    def shape_enu(self) -> Array | None:
+        """Covariances (n, 3, 3) m^2 of the centres of `cameras_enu` by the reconstruction alone; None if not known."""
+        placed = self.registration.enu_from_level
+        if placed is None or self.component.centre_covariances is None:
+            return None
+        turn = placed.scale * placed.rotation
+        return np.asarray(turn @ self.component.centre_covariances[self._trusted] @ turn.T)
+
+    @property
+    def _trusted(self) -> list[int]:
         doubted = {witness.image for witness in self.witnesses if witness.contradicts}
-        cameras = (camera for camera in self.component.cameras if camera.image not in doubted)
-        return [camera.moved(found.enu_from_level) for camera in cameras]
+        return [k for k, camera in enumerate(self.component.cameras) if camera.image not in doubted]
 
 
 def register_airborne(job: Job) -> list[Placed]:

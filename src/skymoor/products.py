@@ -28,7 +28,7 @@ from skymoor.geo.accuracy import ce90_m, le90_m
 from skymoor.geometry.similarity import Similarity
 from skymoor.overlay import lay_on_reference
 from skymoor.pipeline import Placed
-from skymoor.register import camera_covariances
+from skymoor.register import CameraAccuracy, camera_accuracy
 from skymoor.report import confidence_picture, height_picture, match_picture, overlay_picture, residual_picture
 from skymoor.settings import MatchOptions, Options
 from skymoor.store import Store
@@ -47,17 +47,29 @@ class PlacedSet:
     placed: Sequence[Placed]
 
 
-def accuracies(placed: Placed, reference: Reference) -> tuple[Array, Array]:
-    """Predicted CE90 and LE90 in metres, each (n,), of a registered component's cameras.
+def accuracy_of(placed: Placed, reference: Reference) -> CameraAccuracy:
+    """How well the cameras of a registered component are known.
 
     A ground component stands on an airborne one, and inherits how unsure that is at the place of its cameras.
     """
-    cameras, base = placed.cameras_enu, placed.base
-    covariances = camera_covariances(placed.registration, cameras, reference, placed.component.calibration)
-    if base is not None:
-        carried = camera_covariances(base.registration, cameras, reference, base.component.calibration)
-        covariances = covariances + carried - reference.covariance  # which stands in both
-    return np.array([ce90_m(c) for c in covariances]), np.array([le90_m(c) for c in covariances])
+    base, shape = placed.base, placed.shape_enu
+    centres = np.array([camera.centre for camera in placed.cameras_enu]).reshape(-1, 3)
+    # What stands on another model takes its scale from that.
+    calibration = placed.component.calibration if base is None else None
+    found = camera_accuracy(placed.registration, centres, reference, calibration, shape)
+    if base is None:
+        return found
+    carried = camera_accuracy(base.registration, centres, reference, base.component.calibration)
+    return CameraAccuracy(found.shared, found.relative + carried.relative)
+
+
+def figures_of(accuracy: CameraAccuracy) -> Array:
+    """CE90 and LE90 of each camera, and both without the reference's error, (n, 4) metres."""
+    rows = [
+        [ce90_m(total), le90_m(total), ce90_m(relative), le90_m(relative)]
+        for total, relative in zip(accuracy.total, accuracy.relative, strict=True)
+    ]
+    return np.array(rows).reshape(-1, 4)
 
 
 def write_products(
@@ -99,7 +111,8 @@ def camera_rows(found: PlacedSet, reference: Reference) -> list[CameraRow]:
     for k, item in enumerate(found.placed):
         mine: list[CameraRow] = []
         if item.registration.registered:
-            mine = placed_cameras(found.name, k, item.cameras_enu, reference.frame, *accuracies(item, reference))
+            figures = figures_of(accuracy_of(item, reference))
+            mine = placed_cameras(found.name, k, item.cameras_enu, reference.frame, figures)
         placed = {row.image for row in mine}
         others = [camera.image for camera in item.component.cameras if camera.image not in placed]
         mine += unplaced_cameras(found.name, k, others)
@@ -144,10 +157,11 @@ def _component_summary(index: int, item: Placed, reference: Reference) -> dict[s
         "contradicting_cameras": [witness.image for witness in item.witnesses if witness.contradicts],
     }
     if found.registered and found.enu_from_level is not None:
-        ce90, le90 = accuracies(item, reference)
+        ce90, le90, relative_ce90, relative_le90 = figures_of(accuracy_of(item, reference)).mean(axis=0).tolist()
         enu_from_sfm = found.enu_from_level @ item.level_from_sfm
         summary |= georeference(reference.frame, enu_from_sfm)
-        summary |= {"predicted_ce90_m": float(ce90.mean()), "predicted_le90_m": float(le90.mean())}
+        summary |= {"predicted_ce90_m": ce90, "predicted_le90_m": le90}
+        summary |= {"predicted_relative_ce90_m": relative_ce90, "predicted_relative_le90_m": relative_le90}
         summary["scene_centre_enu"] = np.median(found.enu_from_level.apply(item.component.points), axis=0)
     return summary
 

@@ -136,5 +136,35 @@ def evaluation_table(rows: Sequence[EvaluationRow]) -> Table:
     return table
 
 
+def accuracy_table(rows: Sequence[EvaluationRow]) -> Table:
+    """The error split, and whether what was predicted holds: metres, and shares of cameras.
+
+    The bias is the mean error, which holds the reference's own; CE90 and LE90 as predicted and the share of cameras
+    within; and the predicted accuracy without the reference's error, beside what was found without the bias.
+    """
+    table = Table(title="what was predicted, and what holds")
+    columns = [
+        ("bias E", "bias_east_m"),
+        ("N", "bias_north_m"),
+        ("up", "bias_up_m"),
+        ("CE90", "predicted_ce90_m"),
+        ("within", "share_within_ce90"),
+        ("LE90", "predicted_le90_m"),
+        ("within", "share_within_le90"),
+        ("relative CE90", "predicted_relative_ce90_m"),
+        ("LE90", "predicted_relative_le90_m"),
+        ("rel", "mean_relative_m"),
+    ]
+    for heading in ("set", "no", *(heading for heading, _ in columns)):
+        table.add_column(heading)
+    for row in rows:
+        numbers = []
+        for _, name in columns:
+            value = getattr(row, name)
+            numbers.append(f"{value:.0%}" if name.startswith("share") and value is not None else _number(value))
+        table.add_row(row.set, str(row.component), *numbers)
+    return table
+
+
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"

@@ -95,7 +95,8 @@ class Calibration:
 class Component:
     """One connected reconstruction: cameras, points (n, 3), colours (n, 3), and the observations that tie them.
 
-    Observation k says that camera `obs_camera[k]` sees point `obs_point[k]` at pixel `obs_px[k]`.
+    Observation k says that camera `obs_camera[k]` sees point `obs_point[k]` at pixel `obs_px[k]`. The camera centres'
+    covariances (n cameras, 3, 3), where they are known, are of the shape alone, whatever the frame.
     """
 
     cameras: tuple[Camera, ...]
@@ -106,6 +107,7 @@ class Component:
     obs_px: Array
     reprojection_px: float
     calibration: Calibration | None = None
+    centre_covariances: Array | None = None
 
     @property
     def centres(self) -> Array:
@@ -115,7 +117,12 @@ class Component:
     def moved(self, target_from_world: Similarity) -> Component:
         """Express the component in another frame."""
         cameras = tuple(camera.moved(target_from_world) for camera in self.cameras)
-        return replace(self, cameras=cameras, points=target_from_world.apply(self.points))
+        covariances = self.centre_covariances
+        if covariances is not None:
+            turn = target_from_world.scale * target_from_world.rotation
+            covariances = turn @ covariances @ turn.T
+        points = target_from_world.apply(self.points)
+        return replace(self, cameras=cameras, points=points, centre_covariances=covariances)
 
 
 @dataclass(frozen=True, eq=False)

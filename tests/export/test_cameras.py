@@ -41,11 +41,14 @@ def cameras() -> list[Camera]:
 
 @pytest.fixture
 def rows(cameras: list[Camera]) -> list[CameraRow]:
-    return [*placed_cameras("airborne", 0, cameras, FRAME, [1, 2, 3], 4.0), *unplaced_cameras("walk", None, ["w.jpg"])]
+    return [
+        *placed_cameras("airborne", 0, cameras, FRAME, [[k, 4.0, 0.1 * k, 0.4] for k in (1, 2, 3)]),
+        *unplaced_cameras("walk", None, ["w.jpg"]),
+    ]
 
 
 def test_columns_are_those_of_the_contract() -> None:
-    names = "image,set,component,status,lat,lon,height,east,north,up,qw,qx,qy,qz,ce90,le90"
+    names = "image,set,component,status,lat,lon,height,east,north,up,qw,qx,qy,qz,ce90,le90,relative_ce90,relative_le90"
     assert ",".join(CAMERA_COLUMNS) == names
 
 
@@ -64,7 +67,7 @@ def test_csv_says_where_the_cameras_are(cameras: list[Camera], rows: list[Camera
         assert FRAME.enu_from_lla(*lla)[0] == pytest.approx(camera.centre, abs=1e-6)
     assert [line["ce90"] for line in read] == ["1.0", "2.0", "3.0", ""]
     assert [line["le90"] for line in read] == ["4.0", "4.0", "4.0", ""]
-    assert list(read[3].values()) == ["w.jpg", "walk", "", "NOT_REGISTERED", *[""] * 12]
+    assert list(read[3].values()) == ["w.jpg", "walk", "", "NOT_REGISTERED", *[""] * 14]
     estimates = read_cameras_csv(path)
     assert [estimate.component for estimate in estimates] == [0, 0, 0, None]
     assert estimates[1].lat == rows[1].lat
@@ -84,7 +87,7 @@ def test_geojson_has_longitude_first(cameras: list[Camera], rows: list[CameraRow
 
 
 def test_no_cameras() -> None:
-    assert placed_cameras("airborne", 0, [], FRAME, 1.0, 1.0) == []
+    assert placed_cameras("airborne", 0, [], FRAME, [1.0, 1.0, 0.1, 0.1]) == []
 
 
 def test_georeference_gives_the_transform_back() -> None:

@@ -28,7 +28,8 @@ NAMED_IN_MESSAGE = 3
 class Estimate:
     """One line of cameras.csv: WGS 84 degrees and ellipsoidal metres, all None where the camera is not placed.
 
-    `component` is None for an image that no reconstruction took; `ce90`, `le90` are the predicted accuracy in metres.
+    `component` is None for an image that no reconstruction took; `ce90`, `le90` are the predicted accuracy in metres,
+    and `relative_ce90`, `relative_le90` that without the error of the reference.
     """
 
     image: str
@@ -40,6 +41,8 @@ class Estimate:
     height: float | None = None
     ce90: float | None = None
     le90: float | None = None
+    relative_ce90: float | None = None
+    relative_le90: float | None = None
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,12 @@ class Truth:
 
 @dataclass(frozen=True)
 class EvaluationRow:
-    """One component against the truth. Metres, except the two Mahalanobis distances, which have no unit.
+    """One component against the truth. Metres, except the two Mahalanobis distances and the two shares of cameras.
+
+    The error is split: the bias is the mean error vector, which holds the reference's own error; what is left without
+    it is relative; and of that, what no similarity mends is the reconstruction's. The shares are of the cameras whose
+    horizontal error is within their predicted CE90, and whose vertical error is within their LE90. (They share the
+    reference's error: of one component, most are within or most are not.)
 
     Every measure is None where the component is not placed; `rmse_procrustes_m` also where fewer than three cameras
     or cameras on one line leave the fit open. `n_truth` counts the component's cameras that the truth knows.
@@ -77,6 +85,13 @@ class EvaluationRow:
     standoff_m: float | None = None
     predicted_ce90_m: float | None = None
     predicted_le90_m: float | None = None
+    bias_east_m: float | None = None
+    bias_north_m: float | None = None
+    bias_up_m: float | None = None
+    predicted_relative_ce90_m: float | None = None
+    predicted_relative_le90_m: float | None = None
+    share_within_ce90: float | None = None
+    share_within_le90: float | None = None
 
 
 def evaluate(
@@ -129,7 +144,9 @@ def _row(
         )
     found, truth = _positions(group, frame), np.array([truth_enu[estimate.image] for estimate in group])
     errors = found - truth
-    absolute, relative = np.linalg.norm(errors, axis=1), np.linalg.norm(errors - errors.mean(axis=0), axis=1)
+    horizontal, vertical = np.linalg.norm(errors[:, :2], axis=1), np.abs(errors[:, 2])
+    bias = errors.mean(axis=0)
+    absolute, relative = np.linalg.norm(errors, axis=1), np.linalg.norm(errors - bias, axis=1)
     return EvaluationRow(
         *name,
         "REGISTERED",
@@ -137,16 +154,23 @@ def _row(
         n_truth,
         mean_absolute_m=float(absolute.mean()),
         median_absolute_m=float(np.median(absolute)),
-        mean_horizontal_m=float(np.linalg.norm(errors[:, :2], axis=1).mean()),
-        mean_vertical_m=float(np.abs(errors[:, 2]).mean()),
+        mean_horizontal_m=float(horizontal.mean()),
+        mean_vertical_m=float(vertical.mean()),
         mean_relative_m=float(relative.mean()),
         median_relative_m=float(np.median(relative)),
         rmse_procrustes_m=_rmse_procrustes(found, truth),
-        mahalanobis_of_mean=float(mahalanobis(errors.mean(axis=0)[None], covariance)[0]),
+        mahalanobis_of_mean=float(mahalanobis(bias[None], covariance)[0]),
         mean_mahalanobis=float(mahalanobis(errors, covariance).mean()),
         standoff_m=None if scene_centre is None else float(np.linalg.norm(found - scene_centre, axis=1).mean()),
         predicted_ce90_m=_mean([estimate.ce90 for estimate in group]),
         predicted_le90_m=_mean([estimate.le90 for estimate in group]),
+        bias_east_m=float(bias[0]),
+        bias_north_m=float(bias[1]),
+        bias_up_m=float(bias[2]),
+        predicted_relative_ce90_m=_mean([estimate.relative_ce90 for estimate in group]),
+        predicted_relative_le90_m=_mean([estimate.relative_le90 for estimate in group]),
+        share_within_ce90=_share_within(horizontal, [estimate.ce90 for estimate in group]),
+        share_within_le90=_share_within(vertical, [estimate.le90 for estimate in group]),
     )
 
 
@@ -170,6 +194,11 @@ def _rmse_procrustes(found: Array, truth: Array) -> float | None:
 
 def _mean(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _share_within(errors: Array, limits: Sequence[float | None]) -> float | None:
+    known = [error <= limit for error, limit in zip(errors, limits, strict=True) if limit is not None]
     return float(np.mean(known)) if known else None
 
 

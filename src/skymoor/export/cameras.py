@@ -19,7 +19,8 @@ class CameraRow:
     """One line of cameras.csv, columns in this order; everything from `lat` on is None where it is not placed.
 
     Latitude and longitude in WGS 84 degrees, height above its ellipsoid, and east, north, up of the site in metres;
-    the quaternion is camera-from-ENU; `ce90` and `le90` are predicted metres.
+    the quaternion is camera-from-ENU; `ce90` and `le90` are predicted metres, and `relative_ce90` and `relative_le90`
+    the same without the error of the reference, which all cameras share.
     """
 
     image: str
@@ -38,21 +39,26 @@ class CameraRow:
     qz: float | None = None
     ce90: float | None = None
     le90: float | None = None
+    relative_ce90: float | None = None
+    relative_le90: float | None = None
 
 
 CAMERA_COLUMNS = tuple(item.name for item in fields(CameraRow))
 
 
 def placed_cameras(
-    set_name: str, component: int, cameras_enu: Sequence[Camera], frame: EnuFrame, ce90_m: ArrayLike, le90_m: ArrayLike
+    set_name: str, component: int, cameras_enu: Sequence[Camera], frame: EnuFrame, accuracy_m: ArrayLike
 ) -> list[CameraRow]:
-    """Rows of a registered component, whose cameras are in ENU; the accuracies are one number or one per camera."""
+    """Rows of a registered component, whose cameras are in ENU.
+
+    `accuracy_m` (4,), or (n, 4) for n cameras, is CE90 and LE90, and both without the error of the reference.
+    """
     if not cameras_enu:
         return []
     enu = np.array([camera.centre for camera in cameras_enu])
     lla = frame.lla_from_enu(enu)
     quaternions = np.array([camera.cam_from_world.quaternion_wxyz for camera in cameras_enu])
-    accuracy = np.column_stack([np.broadcast_to(np.asarray(figure, float), len(enu)) for figure in (ce90_m, le90_m)])
+    accuracy = np.broadcast_to(np.asarray(accuracy_m, float), (len(enu), 4))
     numbers = np.hstack([lla, enu, quaternions, accuracy]).tolist()
     return [
         CameraRow(camera.image, set_name, component, "REGISTERED", *row)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, cast
@@ -59,6 +60,25 @@ def refine_similarity(
             break
     weights = problem.weights(problem.lengths(current))
     return current, problem.covariance(current), weights
+
+
+def sandwich_covariance(
+    source: ArrayLike,
+    target: ArrayLike,
+    transform: Similarity,
+    correlated: Sequence[ArrayLike],
+    *,
+    sigma_m: float | ArrayLike,
+    loss: Loss = "tukey",
+    tilt_sigma_deg: float | None = None,
+) -> tuple[Array, Array]:
+    """The covariance (7, 7) of `refine_similarity` where errors are not independent, and the point (3,) it refers to.
+
+    `correlated` are three covariances (n, n) in m^2 of the errors of all correspondences, along east, north and up;
+    the other arguments, and what is raised, are those of `refine_similarity`. Huber, Robust Statistics, 1981.
+    """
+    problem = _Problem.from_points(source, target, sigma_m, loss, tilt_sigma_deg)
+    return problem.sandwich(transform, [np.asarray(of_axis, dtype=np.float64) for of_axis in correlated])
 
 
 def gauge_centre(transform: Similarity, source: ArrayLike, weights: ArrayLike) -> Array:
@@ -138,6 +158,19 @@ class _Problem:
             factor = max(square / slope**2, floor)
         tilt_normal, _ = self._tilt_equations(transform)
         return _inverse(jacobian.T @ jacobian / factor + tilt_normal, _radius(points, weights))
+
+    def sandwich(self, transform: Similarity, correlated: Sequence[Array]) -> tuple[Array, Array]:
+        weights = self._needed_weights(transform)
+        centre = gauge_centre(transform, self.source, weights)
+        points = transform.apply(self.source) - centre
+        jacobian = _jacobian(points)
+        slope = max(float(_slopes(self.loss, self.lengths(transform)).sum() / weights.sum()), 0.1)
+        pulls = jacobian * (weights[:, None] / self.sigma**2)[:, :, None]
+        normal = slope * np.einsum("nij,nik->jk", pulls, jacobian)
+        spread = sum(pulls[:, axis].T @ correlated[axis] @ pulls[:, axis] for axis in range(3))
+        tilt_normal, _ = self._tilt_equations(transform)
+        inverse = _inverse(normal + tilt_normal, _radius(points, weights))
+        return inverse @ (spread + tilt_normal) @ inverse, centre
 
     def _needed_weights(self, transform: Similarity) -> Array:
         weights = self.weights(self.lengths(transform))

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from skymoor.errors import DegenerateGeometry, TooFewMatches
 from skymoor.facade import (
     Facade,
     Wall,
@@ -33,6 +35,7 @@ from skymoor.register import (
     pool_guesses,
     register,
     restated,
+    with_covariance_of,
 )
 from skymoor.types import Array, DepthMap, Matches3D, Progress, Registration, no_progress
 
@@ -240,7 +243,7 @@ class _Work:
         """
         current = candidate
         for _ in range(self.options.rounds):
-            current = self._round(current, all_photos=True)
+            current = self._round(current, all_photos=True, with_covariance=True)
             if not current.registration.registered or current.score < self.options.min_kept * candidate.score:
                 return self._as_it_is(candidate)
         return replace(
@@ -256,12 +259,16 @@ class _Work:
         """The candidate where it is, with what matches say of that."""
         matches, placed = self._matches(candidate.enu_from_level, all_photos=True), candidate.enu_from_level
         found = restated(candidate.registration, placed, matches, self.options.register.inlier_m)
+        with suppress(TooFewMatches, DegenerateGeometry):
+            found = with_covariance_of(found, matches, self.options.register, rng=self.rng)
         cells = independent_cells(matches.xyz_enu[found.inliers], self.options.judge.cell_m)
         return replace(candidate, registration=found, cells=cells)
 
-    def _round(self, candidate: Candidate, *, all_photos: bool) -> Candidate:
+    def _round(self, candidate: Candidate, *, all_photos: bool, with_covariance: bool = False) -> Candidate:
         matches = self._matches(candidate.enu_from_level, all_photos=all_photos)
-        found = register(matches, self.options.pixel_m, self.options.register, rng=self.rng)
+        found = register(
+            matches, self.options.pixel_m, self.options.register, rng=self.rng, with_covariance=with_covariance
+        )
         placed = candidate.enu_from_level if found.enu_from_level is None else found.enu_from_level
         near = matches.xyz_enu[found.inliers] if found.inliers is not None else matches.xyz_enu[:0]
         cells = independent_cells(near, self.options.judge.cell_m)

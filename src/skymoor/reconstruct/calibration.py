@@ -16,6 +16,7 @@ import numpy as np
 import pycolmap
 
 from skymoor.colmap import colmap_from_component, component_from_colmap
+from skymoor.reconstruct.uncertainty import centre_covariances
 from skymoor.types import Calibration, Component
 
 PROFILE_RATIOS = (0.7, 0.85, 0.95, 0.99, 1.01, 1.05, 1.18, 1.4)
@@ -166,4 +167,5 @@ def with_focal(component: Component, ratio: float, sigma: float) -> Component:
             relief_ratio=ratio,
         )
     adjusted = component_from_colmap(reconstruction, same_names)
-    return replace(adjusted, colours=component.colours, calibration=calibration)
+    covariances = centre_covariances(reconstruction, adjusted)
+    return replace(adjusted, colours=component.colours, calibration=calibration, centre_covariances=covariances)

@@ -26,6 +26,7 @@ from skymoor.reconstruct.lenses import (
     write_lenses,
 )
 from skymoor.reconstruct.protocol import PairFilter, PairMatcher, colmap_name
+from skymoor.reconstruct.uncertainty import centre_covariances
 from skymoor.types import Component, Photos, Progress, no_progress
 
 
@@ -176,6 +177,7 @@ def _finish(
     if calibration.shared_intrinsics and not calibration.uncertain and options.refine_principal_point:
         adjust(model, principal_point=True)
         calibration = calibrate(model)
-    component = replace(component_from_colmap(model, names), calibration=calibration)
+    component = component_from_colmap(model, names)
+    component = replace(component, calibration=calibration, centre_covariances=centre_covariances(model, component))
     colours = np.clip(mean_colours(component, photos.read) + 0.5, 0, 255).astype(np.uint8)
     return replace(component, colours=colours)

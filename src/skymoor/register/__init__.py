@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a model is on Earth, how well that is known, and whether to believe it."""
 
-from skymoor.register.airborne import RegisterOptions, camera_covariances, independent_cells, register, restated
+from skymoor.register.airborne import RegisterOptions, independent_cells, register, restated, with_covariance_of
+from skymoor.register.covariance import CameraAccuracy, camera_accuracy
 from skymoor.register.ground import (
     Candidate,
     Guess,
@@ -14,6 +15,7 @@ from skymoor.register.refusal import judge
 from skymoor.register.relief import Relief, ReliefOptions, compare_relief, focal_correction
 
 __all__ = [
+    "CameraAccuracy",
     "Candidate",
     "Guess",
     "JudgeOptions",
@@ -21,7 +23,7 @@ __all__ = [
     "RegisterOptions",
     "Relief",
     "ReliefOptions",
-    "camera_covariances",
+    "camera_accuracy",
     "compare_relief",
     "focal_correction",
     "independent_cells",
@@ -30,4 +32,5 @@ __all__ = [
     "pool_guesses",
     "register",
     "restated",
+    "with_covariance_of",
 ]

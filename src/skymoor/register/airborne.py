@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skymoor.errors import DegenerateGeometry, TooFewMatches
-from skymoor.geometry.adjust import gauge_centre, point_covariance, refine_similarity, tilt_deg
+from skymoor.geometry.adjust import refine_similarity, tilt_deg
 from skymoor.geometry.ransac import ransac_similarity
 from skymoor.geometry.similarity import Similarity
-from skymoor.types import Array, Calibration, Camera, Matches3D, Reference, Registration
+from skymoor.register.covariance import matched_covariance
+from skymoor.types import Array, Matches3D, Registration
 
 VERTICAL_FLOOR_M, HORIZONTAL_FLOOR_M = 0.1, 0.05
 
@@ -26,7 +27,7 @@ class RegisterOptions:
 
     Attributes:
         inlier_m: largest residual of an inlier; never below two pixels of the reference.
-        correlation_m: matches closer than this repeat each other: they count once in the covariance and the refusal.
+        correlation_m: matches closer than this repeat each other: they count once in the refusal.
         tilt_sigma_deg: how well the model is levelled beforehand; a weak observation that holds small models upright.
         min_inliers, min_inlier_ratio: fewer are a refusal (the ratio is the paper's).
         min_cells: independent places that must agree.
@@ -46,11 +47,17 @@ class RegisterOptions:
 
 
 def register(
-    matches: Matches3D, reference_pixel_m: float, options: RegisterOptions | None = None, *, rng: np.random.Generator
+    matches: Matches3D,
+    reference_pixel_m: float,
+    options: RegisterOptions | None = None,
+    *,
+    rng: np.random.Generator,
+    with_covariance: bool = True,
 ) -> Registration:
     """The similarity that most matches agree on, its covariance and its residuals; not yet judged.
 
-    `registered` is False only where no transform could be estimated.
+    `registered` is False only where no transform could be estimated. The covariance takes longer than all else; in a
+    search it can be left out, see `with_covariance_of`.
     """
     options = options or RegisterOptions()
     n = len(matches)
@@ -60,22 +67,42 @@ def register(
         inliers = consensus.inliers
         source, target = matches.xyz_level[inliers], matches.xyz_enu[inliers]
         sigma_m = _spread(consensus.transform.apply(source) - target)
-        transform, covariance, weights = refine_similarity(
+        transform, _, _ = refine_similarity(
             source, target, consensus.transform, sigma_m=sigma_m, tilt_sigma_deg=options.tilt_sigma_deg
         )
+        plain = Registration(registered=True, reason="", enu_from_level=transform, tilt_deg=tilt_deg(transform))
+        found = restated(plain, transform, matches, inlier_m)
+        if with_covariance:
+            found = with_covariance_of(found, matches, options, rng=rng)
     except (TooFewMatches, DegenerateGeometry) as error:
         return Registration(registered=False, reason=f"no transform: {error}", enu_from_level=None, n_matches=n)
-    plain = Registration(registered=True, reason="", enu_from_level=transform, tilt_deg=tilt_deg(transform))
-    found = restated(plain, transform, matches, inlier_m)
     cells = independent_cells(matches.xyz_enu[found.inliers, :2], options.correlation_m)
-    # Windows of neighbouring matches overlap: five thousand matches are not five thousand measurements.
-    repeats = max(1.0, len(source) / max(1, cells))
-    return replace(
-        found,
-        covariance=covariance * repeats,
-        centroid_enu=gauge_centre(transform, source, weights),
-        diagnostics={"cells": float(cells)},
+    return replace(found, diagnostics={**found.diagnostics, "cells": float(cells)})
+
+
+def with_covariance_of(
+    found: Registration, matches: Matches3D, options: RegisterOptions, *, rng: np.random.Generator
+) -> Registration:
+    """The registration with the covariance that its inliers give it.
+
+    Windows of neighbouring matches overlap: five thousand matches are not five thousand measurements.
+
+    Raises `TooFewMatches` and `DegenerateGeometry` where they leave the transform open.
+    """
+    transform = found.enu_from_level
+    if transform is None or found.inliers is None or not found.inliers.any():
+        raise TooFewMatches("a registration without inliers has no accuracy")
+    source, target = matches.xyz_level[found.inliers], matches.xyz_enu[found.inliers]
+    covariance, centre, reach_m = matched_covariance(
+        source,
+        target,
+        transform,
+        sigma_m=_spread(transform.apply(source) - target),
+        tilt_sigma_deg=options.tilt_sigma_deg,
+        rng=rng,
     )
+    diagnostics = {**found.diagnostics, "errors_reach_m": reach_m}
+    return replace(found, covariance=covariance, centroid_enu=centre, diagnostics=diagnostics)
 
 
 def restated(found: Registration, enu_from_level: Similarity, matches: Matches3D, inlier_m: float) -> Registration:
@@ -97,23 +124,6 @@ def restated(found: Registration, enu_from_level: Similarity, matches: Matches3D
 def independent_cells(xyz: Array, cell_m: float) -> int:
     """How many cells of `cell_m` hold at least one of the points (n, 3), or of their places in plan (n, 2)."""
     return len(np.unique(np.floor(xyz / cell_m).astype(np.int64), axis=0)) if len(xyz) else 0
-
-
-def camera_covariances(
-    registration: Registration, cameras_enu: list[Camera], reference: Reference, calibration: Calibration | None
-) -> Array:
-    """Predicted covariances (n, 3, 3) of camera positions in ENU, m^2: reference, registration and focal length.
-
-    A focal length that is wrong by one percent puts every camera one percent of its height too high.
-    """
-    if registration.covariance is None or registration.centroid_enu is None:
-        raise TooFewMatches("an unregistered model has no accuracy")
-    centres = np.array([camera.centre for camera in cameras_enu])
-    covariances = reference.covariance + point_covariance(registration.covariance, registration.centroid_enu, centres)
-    if calibration is not None:
-        above = centres[:, 2] - registration.centroid_enu[2]
-        covariances[:, 2, 2] += (calibration.focal_sigma * above) ** 2
-    return np.asarray(covariances)
 
 
 def _spread(residuals: Array) -> Array:

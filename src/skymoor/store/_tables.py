@@ -12,7 +12,9 @@ from skymoor.errors import InputError
 from skymoor.evaluate import Estimate, Truth
 
 TRUTH_COLUMNS = ("image", "lat", "lon", "height")
-CAMERA_COLUMNS = ("image", "set", "component", "status", "lat", "lon", "height", "ce90", "le90")
+ACCURACY = ("ce90", "le90")
+RELATIVE = ("relative_ce90", "relative_le90")  # runs of former versions have none
+CAMERA_COLUMNS = ("image", "set", "component", "status", "lat", "lon", "height", *ACCURACY)
 
 
 def read_truth_csv(path: Path) -> list[Truth]:
@@ -47,8 +49,8 @@ def read_cameras_csv(path: Path) -> list[Estimate]:
         if component and not component.isdigit():
             raise InputError(f"{where}: component {component!r} is not a number")
         numbers = {
-            column: _number(row[column], column, where) if row[column].strip() else None
-            for column in ("lat", "lon", "height", "ce90", "le90")
+            column: _number(row[column], column, where) if row.get(column, "").strip() else None
+            for column in ("lat", "lon", "height", *ACCURACY, *RELATIVE)
         }
         number = int(component) if component else None
         estimates.append(Estimate(row["image"], row["set"], number, row["status"] == "REGISTERED", **numbers))

@@ -161,7 +161,7 @@ class Evidence:
             return _refused(reason, pool)
         scores = np.array([np.count_nonzero(pool.gaps_m(h) <= o.inlier_m) for h in hypotheses])
         best = int(np.argmax(scores))
-        found = self._refitted(hypotheses[best], pool)
+        found = self._refitted(hypotheses[best], pool, with_covariance=with_icp)
         if found.enu_from_level is None:
             return found
         placed = found.enu_from_level
@@ -180,12 +180,18 @@ class Evidence:
         inliers = np.bincount(pool.photo[near], minlength=len(self.photos))
         return np.flatnonzero(inliers >= self.options.min_photo_inliers)
 
-    def _refitted(self, start: Similarity, pool: Pool) -> Registration:
+    def _refitted(self, start: Similarity, pool: Pool, *, with_covariance: bool) -> Registration:
         """Fitted to the matches near it, then to those near the fit."""
         placed, found = start, _refused("no match is near the best transform", pool)
-        for _ in range(2):
+        for round_ in range(2):
             near = pool.take(pool.gaps_m(placed) <= 1.5 * self.options.inlier_m)
-            found = register(near.matches, self.airborne.pixel_m, self.options.register, rng=self.rng)
+            found = register(
+                near.matches,
+                self.airborne.pixel_m,
+                self.options.register,
+                rng=self.rng,
+                with_covariance=with_covariance and round_ == 1,
+            )
             if found.enu_from_level is None:
                 break
             placed = found.enu_from_level
