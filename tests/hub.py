@@ -11,16 +11,7 @@ from typing import Any
 
 import pytest
 
-from skymoor.errors import BackendUnavailable, InputError
-from skymoor.optional import require
-
-
-def library(name: str, extra: str) -> Any:
-    """The library, or the test is skipped and says why."""
-    try:
-        return require(name, extra)
-    except BackendUnavailable as error:
-        pytest.skip(str(error))
+from skymoor.errors import InputError
 
 
 def save(network: Any, folder: Path, processor: dict[str, Any] | None = None) -> Path:

@@ -246,7 +246,6 @@ class TestRead:
             load_state_dict(tmp_path / "net.pth")
 
     def test_safetensors(self, tmp_path: Path) -> None:
-        pytest.importorskip("safetensors", reason="reading .safetensors is optional")
         from safetensors.torch import save_file
 
         path = tmp_path / "net.safetensors"

@@ -16,7 +16,7 @@ import torch
 
 import skymoor.densify._depth_anything
 import skymoor.densify._marigold
-from hub import assert_refuses_bad_folders, library, save
+from hub import assert_refuses_bad_folders, save
 from pictures import noise_picture
 from skymoor.densify import DepthAnythingDepth, MarigoldDepth, MetricDepthNetwork
 from skymoor.errors import BackendUnavailable, InputError
@@ -35,7 +35,8 @@ def forget_networks() -> Iterator[None]:
 
 def depth_anything(folder: Path, kind: str) -> Path:
     """A real one, tiny. Its last layer gives the metric one depths between 0 and 80."""
-    transformers = library("transformers", "transformers")
+    import transformers
+
     torch.manual_seed(0)
     backbone = transformers.Dinov2Config(
         hidden_size=16, num_hidden_layers=4, num_attention_heads=2, image_size=56, patch_size=14, mlp_ratio=2,
@@ -113,7 +114,8 @@ class TestMetric:
 
     def test_zoedepth(self, tmp_path: Path) -> None:
         """Another network, in metres as well, through the same door."""
-        transformers = library("transformers", "transformers")
+        import transformers
+
         torch.manual_seed(0)
         backbone = transformers.BeitConfig(
             hidden_size=16, num_hidden_layers=4, num_attention_heads=2, intermediate_size=16, image_size=64,
@@ -139,7 +141,9 @@ class TestMetric:
 @pytest.fixture
 def marigold(tmp_path: Path) -> Path:
     """The real pipeline with tiny parts, as the hub publishes it."""
-    transformers, diffusers = library("transformers", "marigold"), library("diffusers", "marigold")
+    import diffusers
+    import transformers
+
     torch.manual_seed(0)
     unet = diffusers.UNet2DConditionModel(
         block_out_channels=(16, 16), layers_per_block=1, sample_size=8, in_channels=8, out_channels=4,
@@ -255,5 +259,5 @@ def test_library_or_weights_are_missing(tmp_path: Path, monkeypatch: pytest.Monk
             call()
     monkeypatch.setitem(sys.modules, "transformers", None)
     for call in calls.values():
-        with pytest.raises(BackendUnavailable, match=r'pip install "skymoor\[(transformers|marigold)\]"'):
+        with pytest.raises(BackendUnavailable, match=r'pip install "skymoor\[depth\]"'):
             call()

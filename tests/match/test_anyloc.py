@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import skymoor.match._anyloc
-from hub import assert_refuses_bad_folders, library, save
+from hub import assert_refuses_bad_folders, save
 from pictures import noise_picture
 from skymoor.errors import BackendUnavailable, InputError, TooFewMatches
 from skymoor.match import AnyLocRetriever
@@ -91,7 +91,8 @@ class TestVlad:
 
 @pytest.fixture
 def dinov2(tmp_path: Path) -> Path:
-    transformers = library("transformers", "transformers")
+    import transformers
+
     torch.manual_seed(0)
     config = transformers.Dinov2Config(
         hidden_size=32, num_hidden_layers=4, num_attention_heads=2, image_size=70, patch_size=14, mlp_ratio=2
@@ -108,7 +109,8 @@ def picture(seed: int) -> Raster:
 class TestAnyLoc:
     def test_the_values_of_the_layer(self, dinov2: Path) -> None:
         """What the hook sees is what the layer computes from its own input; dark patches are left out."""
-        transformers = library("transformers", "transformers")
+        import transformers
+
         network = transformers.AutoModel.from_pretrained(dinov2).eval()
         look = skymoor.match._anyloc._network(dinov2, "cpu", 2)
         raster = picture(0)
@@ -162,5 +164,5 @@ def test_library_or_weights_are_missing(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(BackendUnavailable, match="skymoor weights fetch dinov2-small"):
         AnyLocRetriever(size="small")([picture(0)], [picture(1)])
     monkeypatch.setitem(sys.modules, "transformers", None)
-    with pytest.raises(BackendUnavailable, match=r'pip install "skymoor\[transformers\]"'):
+    with pytest.raises(BackendUnavailable, match=r'pip install "skymoor\[retrieval\]"'):
         AnyLocRetriever()([picture(0)], [picture(1)])

@@ -15,7 +15,7 @@ import torch
 
 import skymoor.orient._oneformer
 import skymoor.orient._semantic
-from hub import assert_refuses_bad_folders, library, save
+from hub import assert_refuses_bad_folders, save
 from pictures import noise_picture
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.orient import OneFormerLabeler, SemanticLabeler
@@ -64,7 +64,8 @@ def names_of(count: int = 4) -> dict[str, Any]:
 @pytest.fixture
 def upernet(tmp_path: Path) -> Path:
     """A real UperNet on a tiny ConvNeXt; every class wins somewhere."""
-    transformers = library("transformers", "transformers")
+    import transformers
+
     torch.manual_seed(0)
     backbone = transformers.ConvNextConfig(hidden_sizes=[4, 4, 8, 8], depths=[1, 1, 1, 1], out_features=STAGES)
     config = transformers.UperNetConfig(
@@ -79,7 +80,8 @@ def upernet(tmp_path: Path) -> Path:
 @pytest.fixture
 def oneformer(tmp_path: Path) -> Path:
     """A real OneFormer on a tiny Swin, with a tokenizer of single letters."""
-    transformers = library("transformers", "transformers")
+    import transformers
+
     torch.manual_seed(0)
     folder = tmp_path / "oneformer"
     config = transformers.OneFormerConfig(
@@ -193,7 +195,6 @@ class TestOneFormer:
 
 
 def test_weights_not_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    library("transformers", "transformers")
     monkeypatch.setenv("SKYMOOR_WEIGHTS", str(tmp_path))
     for labeler, name in ((OneFormerLabeler(), "oneformer"), (SemanticLabeler(), "upernet-tiny")):
         with pytest.raises(BackendUnavailable, match=f"fetch them: skymoor weights fetch {name}"):
@@ -203,5 +204,5 @@ def test_weights_not_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_library_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "transformers", None)
     for labeler in (OneFormerLabeler(), SemanticLabeler()):
-        with pytest.raises(BackendUnavailable, match=r'pip install "skymoor\[transformers\]"'):
+        with pytest.raises(BackendUnavailable, match=r'pip install "skymoor\[segmentation\]"'):
             labeler(PHOTO)
