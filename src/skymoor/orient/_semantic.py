@@ -59,7 +59,8 @@ _: type[GroundLabeler] = SemanticLabeler
 @lru_cache(maxsize=1)
 def _network(folder: Path, device: str) -> tuple[Any, Any]:
     transformers = require("transformers", "segmentation")
-    network = open_model(transformers.AutoModelForSemanticSegmentation, folder, ())
+    # The library would ask on the terminal whether code in the folder may be run, and run it.
+    network = open_model(transformers.AutoModelForSemanticSegmentation, folder, (), trust_remote_code=False)
     with reading(folder):
         processor = transformers.AutoImageProcessor.from_pretrained(
             folder, local_files_only=True, trust_remote_code=False
