@@ -9,13 +9,15 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import torch
 
 import hub
 from pictures import noise_picture
+from skymoor.aliked import AlikedFeatures
 from skymoor.densify import DepthAnythingDepth, MarigoldDepth, MetricDepthNetwork
 from skymoor.match import AlikedMatcher, AnyLocRetriever, LoftrMatcher, RomaMatcher, RomaV2Matcher, TinyRomaMatcher
 from skymoor.orient import OneFormerLabeler, SemanticLabeler
-from skymoor.reconstruct import DedodeDetector, DoppelgangerClassifier, ViewGraph
+from skymoor.reconstruct import AlikedPairMatcher, DedodeDetector, DoppelgangerClassifier, ViewGraph
 from skymoor.types import Photos, Raster
 
 PHOTO = noise_picture((90, 120))
@@ -47,6 +49,13 @@ class Engine:
     lost: str = ""
 
 
+def lightglue(path: str) -> object:
+    """Joins two photos without key points; the first weights that it asks for are those of ALIKED."""
+    nothing = np.zeros((0, 2)), torch.zeros(0, 128)
+    matcher = AlikedPairMatcher(AlikedFeatures(path, "cpu"), "lightglue", path)
+    return matcher._lightglue(nothing, nothing, (120, 90), (120, 90))
+
+
 FILES = (
     Engine(AlikedMatcher, lambda p: AlikedMatcher(p, "cpu")(RASTER, RASTER), "aliked", "kornia.feature", "kornia"),
     Engine(LoftrMatcher, lambda p: LoftrMatcher(p, "cpu")(RASTER, RASTER), "loftr", "kornia.feature", "kornia"),
@@ -54,6 +63,7 @@ FILES = (
     Engine(RomaMatcher, lambda p: RomaMatcher(p, p, "cpu")(RASTER, RASTER), "roma", "romatch", "roma"),
     Engine(RomaV2Matcher, lambda p: RomaV2Matcher(True, p)(RASTER, RASTER), "romav2", "romav2", "romav2"),
     Engine(DedodeDetector, lambda p: DedodeDetector(p, "cpu")(PHOTO), "dedode-b", "kornia.feature", "kornia"),
+    Engine(AlikedPairMatcher, lightglue, "aliked", "kornia.feature", "kornia"),
     Engine(DoppelgangerClassifier, lambda p: DoppelgangerClassifier(p, "cpu")(NO_PAIRS), "doppelgangers"),
 )
 FOLDERS = (
