@@ -19,6 +19,8 @@ $(STAMP): requirements.lock pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { \
 	  echo "python could not make $(VENV): install its venv module (Debian: apt-get install python3-venv)" >&2; exit 1; }
 	$(BIN)/python -m pip install --quiet -r requirements.lock
+	@# It declares training tools and a torchvision that exists for CUDA only; what it imports is in the lock.
+	$(BIN)/python -m pip install --quiet --no-deps romatch==0.1.2
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import torch
 
 from skymoor.errors import BackendUnavailable
 from skymoor.optional import require, torch_device
+
+LEARNED = ("transformers", "diffusers", "kornia", "romatch", "romav2", "huggingface_hub", "torchvision", "safetensors")
 
 
 def test_what_is_there() -> None:
@@ -27,6 +30,15 @@ def test_what_is_there_and_does_not_start(tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(BackendUnavailable, match=r"broken_library cannot be imported \(operator does not exist\)"):
         require("broken_library", "roma")
     assert "broken_library" not in sys.modules
+
+
+@pytest.mark.parametrize("module", ["skymoor", "skymoor.cli", "skymoor.commands"])
+def test_learned_engines_cost_nothing_until_they_are_called(module: str) -> None:
+    """Neither the command nor what it does imports their libraries."""
+    ask = f"import sys, {module}; print(*sorted({{name.partition('.')[0] for name in sys.modules}}))"
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert "skymoor" in loaded and loaded.isdisjoint(LEARNED)
 
 
 def test_devices(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import skymoor.aliked
 import skymoor.match._loftr
 from pictures import noise_picture
-from skymoor.errors import BackendUnavailable, InputError
+from skymoor.errors import InputError
 from skymoor.match import AlikedMatcher, CyclicOptions, LoftrMatcher, cyclic_matches, match_placed
 from skymoor.types import Matches2D, Raster, Warp
 
@@ -35,7 +35,9 @@ def returning(warp: Warp) -> Matches2D:
 
 @pytest.fixture
 def feature() -> Any:
-    return pytest.importorskip("kornia.feature", reason='needs pip install "skymoor[kornia]"')
+    import kornia.feature
+
+    return kornia.feature
 
 
 @pytest.fixture
@@ -84,11 +86,6 @@ class TestAliked:
         with pytest.raises(InputError, match=r"t16\.pth: weights of another network"):
             AlikedMatcher(weights=str(tmp_path / "t16.pth"))(*2 * [raster(noise_picture((64, 64)))])
 
-    def test_weights_not_fetched(self, feature: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setenv("SKYMOOR_WEIGHTS", str(tmp_path))
-        with pytest.raises(BackendUnavailable, match=r"aliked-n16rot\.pth.*skymoor weights fetch aliked"):
-            AlikedMatcher()(*2 * [raster(noise_picture((64, 64)))])
-
 
 class TestLoftr:
     @pytest.fixture
@@ -103,12 +100,6 @@ class TestLoftr:
         warp = loftr(a, b)
         assert warp.b_from_a.shape == (100, 140, 2) and warp.confidence_b.shape == (90, 64)
         assert np.isfinite(warp.b_from_a).all() and 0 <= warp.confidence_a.min() <= warp.confidence_a.max() <= 1
-
-    def test_weights_of_another_network(self, loftr: LoftrMatcher, tmp_path: Path) -> None:
-        torch.save({"state_dict": {"weight": torch.zeros(3)}}, tmp_path / "loftr.ckpt")
-        skymoor.match._loftr._network.cache_clear()
-        with pytest.raises(InputError, match=r"loftr\.ckpt: weights of another network \(lacks "):
-            loftr(*2 * [raster(noise_picture((64, 64)))])
 
 
 class Pixels:
@@ -151,13 +142,6 @@ def test_pixels_of_kornia_to_ours(side: int, monkeypatch: pytest.MonkeyPatch) ->
         px_a = np.column_stack([columns, rows]) + 0.5
         np.testing.assert_allclose(px_a, np.floor(corners + side / 2) + 0.5)
         np.testing.assert_allclose(warp.b_from_a[rows, columns] - px_a, 8.0 * side, atol=1e-4)
-
-
-def test_kornia_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "kornia.feature", None)
-    for matcher in (AlikedMatcher(), LoftrMatcher()):
-        with pytest.raises(BackendUnavailable, match=r'pip install "skymoor\[kornia\]"'):
-            matcher(*2 * [raster(noise_picture((64, 64)))])
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,6 @@ def test_each_name_chooses_its_engine() -> None:
 
 
 def test_other_weights_under_the_same_name_are_noticed(tmp_path: Path) -> None:
-    pytest.importorskip("kornia", reason="ALIKED comes with kornia")
     path = tmp_path / "some.pth"
     path.write_bytes(b"1")
     options = MatcherOptions(kind="aliked", aliked=AlikedMatcher(weights=str(path)))

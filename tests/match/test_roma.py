@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RoMa's family: what the libraries answer, in pixels; and the real networks with random weights, if they are here."""
+"""RoMa's family: what the libraries answer, in pixels. The networks themselves: test_roma_networks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ import skymoor.match._romav2
 from pictures import noise_picture
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.match import CyclicOptions, RomaMatcher, RomaV2Matcher, TinyRomaMatcher, cyclic_matches, match_placed
-from skymoor.optional import require
 from skymoor.types import Matches2D, Raster, Warp
 
 Array = NDArray[np.float64]
@@ -127,32 +126,10 @@ class TestRoma:
         assert 0.9 * 45 * 80 < len(found) <= 45 * 80
         np.testing.assert_allclose(found.px_b, found.px_a @ turned[:, :2].T + turned[:, 2], atol=0.02)
 
-    def test_weights_that_do_not_fit_are_named(self, fake: list[FakeRoma], monkeypatch: pytest.MonkeyPatch) -> None:
-        for network, file in (("DinoVisionTransformer", "dinov2_vitl14"), ("RegressionMatcher", "roma_outdoor")):
-
-            def refuse(network: str = network, **_: Any) -> None:
-                raise RuntimeError(f"Error(s) in loading state_dict for {network}:\n\tMissing key(s): a, b.")
-
-            monkeypatch.setattr(sys.modules["romatch"], "roma_outdoor", refuse)
-            with pytest.raises(InputError, match=rf"{file}\w*\.pth: weights of another network \(Missing key"):
-                RomaMatcher(device="cpu")(raster(SHAPE_A), raster(SHAPE_B))
-
-    def test_truncated_weights(self, fake: list[FakeRoma], tmp_path: Path) -> None:
-        path = tmp_path / "roma/roma_outdoor.pth"
-        path.write_bytes(path.read_bytes()[:500])
-        with pytest.raises(InputError, match=r"roma_outdoor\.pth: (cut off|not a checkpoint)"):
-            RomaMatcher(device="cpu")(raster(SHAPE_A), raster(SHAPE_B))
-
     def test_weights_not_fetched(self, fake: list[FakeRoma], tmp_path: Path) -> None:
         (tmp_path / "roma/dinov2_vitl14_pretrain.pth").unlink()
         with pytest.raises(BackendUnavailable, match=r"dinov2_vitl14_pretrain\.pth.*skymoor weights fetch roma"):
             RomaMatcher(device="cpu")(raster(SHAPE_A), raster(SHAPE_B))
-
-    def test_library_is_missing(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setitem(sys.modules, "romatch", None)
-        for matcher in (RomaMatcher(), TinyRomaMatcher()):
-            with pytest.raises(BackendUnavailable, match=r'pip install "skymoor\[roma\]"'):
-                matcher(raster(SHAPE_A), raster(SHAPE_B))
 
     def test_sizes_that_the_network_cannot_take(self) -> None:
         for options in ({"coarse_px": 500}, {"coarse_px": 0}, {"upsample_px": 100}, {"upsample_px": -8}):
@@ -160,70 +137,6 @@ class TestRoma:
                 RomaMatcher(**options)  # type: ignore[arg-type]
         with pytest.raises(InputError, match="side_px = 32"):
             TinyRomaMatcher(side_px=32)
-
-
-@pytest.fixture
-def romatch() -> Any:
-    """The real library, where it can be imported: it needs torchvision, which PyPI has for CUDA only."""
-    try:
-        return require("romatch", "roma")
-    except BackendUnavailable as error:
-        pytest.skip(str(error))
-
-
-class TestRealNetworks:
-    def test_tiny_roma(self, romatch: Any, tmp_path: Path) -> None:
-        """With random weights the flow is noise, but of the right shape, and the same for the same pair."""
-        torch.manual_seed(0)
-        features = require("kornia.feature.xfeat", "roma").XFeatModel()
-        network = romatch.models.model_zoo.tiny_roma_v1_model(xfeat=features)
-        torch.save(network.state_dict(), tmp_path / "tiny.pth")
-        matcher = TinyRomaMatcher(weights=str(tmp_path / "tiny.pth"), device="cpu", side_px=160)
-        a, b = raster(SHAPE_A), raster(SHAPE_B)
-        warp, again = matcher(a, b), matcher(a, b)
-        assert warp.b_from_a.shape == (*SHAPE_A, 2) and warp.a_from_b.shape == (*SHAPE_B, 2)
-        assert np.isfinite(warp.b_from_a).all() and 0 < warp.confidence_a.max() <= 1
-        np.testing.assert_array_equal(warp.b_from_a, again.b_from_a)
-        swapped = matcher(b, a)
-        np.testing.assert_allclose(swapped.a_from_b, warp.b_from_a, atol=1e-3)
-        torch.save({"weight": torch.zeros(1)}, tmp_path / "other.pth")
-        with pytest.raises(InputError, match=r"other\.pth: weights of another network"):
-            TinyRomaMatcher(weights=str(tmp_path / "other.pth"), device="cpu")(a, b)
-
-    @pytest.mark.pretrained
-    def test_roma(self, romatch: Any, tmp_path: Path) -> None:
-        """The whole network: 1.7 GB on the disk and half a minute."""
-        torch.manual_seed(0)
-        from romatch.models.transformer import vit_large
-
-        dinov2 = vit_large(img_size=518, patch_size=14, init_values=1.0, ffn_layer="mlp", block_chunks=0).state_dict()
-        torch.save(dinov2, tmp_path / "dinov2.pth")
-        refused: list[Any] = []
-
-        class Stop(Exception):
-            pass
-
-        def keep(network: Any, tensors: Any, *_: Any, **__: Any) -> None:
-            refused.append(network.state_dict())
-            raise Stop
-
-        with pytest.MonkeyPatch.context() as patch, pytest.raises(Stop):
-            from romatch.models.matcher import RegressionMatcher
-
-            patch.setattr(RegressionMatcher, "load_state_dict", keep)
-            romatch.roma_outdoor("cpu", weights={}, dinov2_weights=dinov2, use_custom_corr=False)
-        torch.save(refused.pop(), tmp_path / "roma.pth")
-        matcher = RomaMatcher(
-            weights=str(tmp_path / "roma.pth"),
-            dinov2=str(tmp_path / "dinov2.pth"),
-            device="cpu",
-            coarse_px=112,
-            upsample_px=160,
-        )
-        warp = matcher(raster(SHAPE_A), raster(SHAPE_B))
-        assert warp.b_from_a.shape == (*SHAPE_A, 2) and warp.confidence_b.shape == SHAPE_B
-        assert np.isfinite(warp.b_from_a).all() and np.isfinite(warp.a_from_b).all()
-        assert warp.confidence_a.max() > 0
 
 
 class FakeV2(torch.nn.Module):
@@ -278,8 +191,3 @@ class TestRomaV2:
         elsewhere = RomaV2Matcher(accept_dinov3_licence=True, weights=matcher.weights, dinov3=str(tmp_path))
         with pytest.raises(InputError, match=r"no hubconf\.py"):
             elsewhere(raster(SHAPE_A), raster(SHAPE_B))
-
-    def test_other_weights(self, matcher: RomaV2Matcher) -> None:
-        torch.save({"g.weight": torch.ones(1)}, matcher.weights)
-        with pytest.raises(InputError, match=r"romav2\.0\.1\.pt: weights of another network"):
-            matcher(raster(SHAPE_A), raster(SHAPE_B))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import skymoor.reconstruct._doppelgangers
 from pictures import noise_picture
-from skymoor.errors import BackendUnavailable, InputError
+from skymoor.errors import InputError
 from skymoor.reconstruct import DoppelgangerClassifier, ViewGraph
 from skymoor.reconstruct._doppelgangers import Classifier, _reduced, pair_layers
 from skymoor.types import Photos
@@ -123,20 +123,6 @@ class TestClassifier:
         middle = float(np.sort(both[0])[1])
         kept = DoppelgangerClassifier(str(path), "cpu", middle, side_px=160)(graph)
         assert kept == [k for k, p in enumerate(both[0]) if p >= middle] and len(kept) == 2
-
-    def test_bad_weights(self, graph: ViewGraph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setenv("SKYMOOR_WEIGHTS", str(tmp_path))
-        with pytest.raises(BackendUnavailable, match="skymoor weights fetch doppelgangers"):
-            DoppelgangerClassifier()(graph)
-        path = saved(tmp_path / "x.pt")
-        path.write_bytes(path.read_bytes()[:100_000])
-        with pytest.raises(InputError, match=r"x\.pt: (cut off|not a checkpoint)"):
-            DoppelgangerClassifier(str(path), "cpu")(graph)
-        torch.save({"dec": {"module.conv1.weight": torch.zeros(128, 4, 7, 7)}}, path)
-        with pytest.raises(InputError, match=r"x\.pt: weights of another network"):
-            DoppelgangerClassifier(str(path), "cpu")(graph)
-        with pytest.raises(InputError, match=r"nowhere\.pt: there are no weights here"):
-            DoppelgangerClassifier(str(tmp_path / "nowhere.pt"), "cpu")(graph)
 
     def test_options_that_make_no_sense(self) -> None:
         with pytest.raises(InputError, match=r"min_probability = 1\.2"):

@@ -38,7 +38,7 @@ class DepthAnythingDepth:
 
     def ready(self) -> tuple[Path, ...]:
         """The folder that will be read; see `__call__` for what is raised where something is missing."""
-        require("transformers", "transformers")
+        require("transformers", "depth")
         return (find("depth-anything-small", "model", self.weights),)
 
     def __call__(self, image: Image) -> Array32:
@@ -80,7 +80,7 @@ class MetricDepthNetwork:
 
     def ready(self) -> tuple[Path, ...]:
         """The folder that will be read; see `__call__` for what is raised where something is missing."""
-        require("transformers", "transformers")
+        require("transformers", "depth")
         return (find("metric-depth-small", "model", self.weights),)
 
     def __call__(self, image: Image, focal_px: float) -> Array32:
@@ -120,7 +120,7 @@ def _answer(folder: Path, device: str, image: Image, *, metric: bool) -> tuple[A
 
 @lru_cache(maxsize=2)
 def _network(folder: Path, device: str, *, metric: bool) -> tuple[Any, Any]:
-    transformers = require("transformers", "transformers")
+    transformers = require("transformers", "depth")
     kinds = ("depth_anything", "zoedepth") if metric else ("depth_anything",)
     network = open_model(transformers.AutoModelForDepthEstimation, folder, kinds)
     says = describes(folder).get("depth_estimation_type", "metric" if "zoedepth" in kinds else "relative")

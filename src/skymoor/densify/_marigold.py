@@ -49,8 +49,8 @@ class MarigoldDepth:
 
     def ready(self) -> tuple[Path, ...]:
         """The folder that will be read; see `__call__` for what is raised where something is missing."""
-        require("transformers", "marigold")
-        require("diffusers", "marigold")
+        require("transformers", "depth")
+        require("diffusers", "depth")
         return (find("marigold", "model", self.weights),)
 
     def __call__(self, image: Image) -> Array32:
@@ -80,7 +80,7 @@ _: type[MonocularDepth] = MarigoldDepth
 
 @lru_cache(maxsize=1)
 def _pipeline(folder: Path, device: str) -> Any:
-    diffusers, transformers = require("diffusers", "marigold"), require("transformers", "marigold")
+    diffusers, transformers = require("diffusers", "depth"), require("transformers", "depth")
     import torch
 
     index = describes(folder, "model_index.json")

@@ -63,7 +63,7 @@ class AnyLocRetriever:
 
     def ready(self) -> tuple[Path, ...]:
         """The folder that will be read; see `__call__` for what is raised where something is missing."""
-        require("transformers", "transformers")
+        require("transformers", "retrieval")
         return (find(f"dinov2-{self.size}", "model", self.weights),)
 
     def __call__(self, queries: Sequence[Raster], tiles: Sequence[Raster]) -> Array:
@@ -134,7 +134,7 @@ class ValueFeatures:
 
 @lru_cache(maxsize=1)
 def _network(folder: Path, device: str, layer: int) -> ValueFeatures:
-    transformers = require("transformers", "transformers")
+    transformers = require("transformers", "retrieval")
     network = open_model(transformers.AutoModel, folder, KINDS).to(device)
     depth = int(network.config.num_hidden_layers)
     if layer >= depth:

@@ -37,7 +37,7 @@ class OneFormerLabeler:
 
     def ready(self) -> tuple[Path, ...]:
         """The folder that will be read; see `__call__` for what is raised where something is missing."""
-        require("transformers", "transformers")
+        require("transformers", "segmentation")
         return (find("oneformer", "model", self.weights),)
 
     def __call__(self, image: Image) -> Mask:
@@ -58,7 +58,7 @@ _: type[GroundLabeler] = OneFormerLabeler
 
 @lru_cache(maxsize=1)
 def _network(folder: Path, device: str) -> tuple[Any, Any]:
-    transformers = require("transformers", "transformers")
+    transformers = require("transformers", "segmentation")
     # What training compares photos with, sentences, is left out.
     network = open_model(transformers.OneFormerForUniversalSegmentation, folder, ("oneformer",), is_training=False)
     home = _home_of_classes(folder)

@@ -37,7 +37,7 @@ class SemanticLabeler:
 
     def ready(self) -> tuple[Path, ...]:
         """The folder that will be read; see `__call__` for what is raised where something is missing."""
-        require("transformers", "transformers")
+        require("transformers", "segmentation")
         return (find("upernet-tiny", "model", self.weights),)
 
     def __call__(self, image: Image) -> Mask:
@@ -58,8 +58,9 @@ _: type[GroundLabeler] = SemanticLabeler
 
 @lru_cache(maxsize=1)
 def _network(folder: Path, device: str) -> tuple[Any, Any]:
-    transformers = require("transformers", "transformers")
-    network = open_model(transformers.AutoModelForSemanticSegmentation, folder, ())
+    transformers = require("transformers", "segmentation")
+    # The library would ask on the terminal whether code in the folder may be run, and run it.
+    network = open_model(transformers.AutoModelForSemanticSegmentation, folder, (), trust_remote_code=False)
     with reading(folder):
         processor = transformers.AutoImageProcessor.from_pretrained(
             folder, local_files_only=True, trust_remote_code=False

@@ -143,7 +143,7 @@ def _read(path: Path) -> object:
             warnings.simplefilter("ignore", UserWarning)
             return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
-        if "Unsupported global" in str(error) or "was not an allowed global" in str(error):
+        if "GLOBAL" in str(error):  # the opcode that asks for something to be imported
             raise InputError(f"{path}: holds code or objects besides numbers, and is not read; get it anew") from None
         raise InputError(f"{path}: not a checkpoint of PyTorch; is it the right file?") from None
     except (RuntimeError, EOFError, OSError, ValueError, KeyError, AttributeError, BadZipFile) as error:
