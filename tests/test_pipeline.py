@@ -32,7 +32,7 @@ FASTER = (
     "--set",
     "match.max_height_m=100",
     "--set",
-    "reconstruct.matcher.max_features=2500",
+    "reconstruct.matcher.sift.max_features=2500",
 )
 PLACE = ("lat", "lon", "height", "east", "north", "up", "qw", "ce90", "le90")
 

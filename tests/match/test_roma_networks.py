@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -101,6 +102,11 @@ def roma_files(romatch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_roma(roma_files: dict[str, str], capfd: pytest.CaptureFixture[str]) -> None:
     matcher = RomaMatcher(**roma_files, device="cpu", coarse_px=56, upsample_px=64)
     assert_answers(matcher, capfd)
+    together = replace(matcher, pairs_at_once=2)
+    for pair, warp in zip([(A, B), (B, A), (A, A)], together.many(iter([(A, B), (B, A), (A, A)])), strict=True):
+        alone = matcher(*pair)
+        np.testing.assert_allclose(warp.b_from_a, alone.b_from_a, atol=2e-2)
+        np.testing.assert_allclose(warp.confidence_b, alone.confidence_b, atol=1e-3)
     skymoor.match._roma._roma.cache_clear()
     with pytest.raises(InputError, match=r"dinov2\.pth: weights of another network \(Missing key"):
         RomaMatcher(roma_files["dinov2"], roma_files["dinov2"], "cpu")(A, B)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -62,23 +63,26 @@ class AlikedMatcher:
             BackendUnavailable: kornia or the weights are missing.
             InputError: the weights are not those of ALIKED n16rot.
         """
-        (px_a, described_a), (px_b, described_b) = (self._keypoints(raster) for raster in (a, b))
+        (px_a, described_a), (px_b, described_b) = (_keypoints(self.features, x) for x in (a, b))
         _, pairs = require("kornia.feature", "kornia").match_smnn(described_a, described_b, self.max_ratio)
         i, j = pairs.cpu().numpy().T
         return warp_from_pairs(a, b, px_a[i], px_b[j], np.ones(len(i)))
 
-    def _keypoints(self, raster: Raster) -> tuple[Array, torch.Tensor]:
-        """Pixels (n, 2) of what lies well on the mask, and descriptions (n, 128).
-
-        The edge of the picture itself is no edge of the mask.
-        """
-        px, described = self.features(raster.rgb)
-        side = 2 * BORDER_PX + 1
-        inner = cv2.erode(raster.mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-        h, w = raster.mask.shape
-        column, row = np.clip(px.astype(np.intp), 0, [w - 1, h - 1]).T
-        good = np.flatnonzero(inner[row, column])
-        return px[good], described[good]
-
 
 _: type[DenseMatcher] = AlikedMatcher
+
+
+@lru_cache(maxsize=256)
+def _keypoints(features: AlikedFeatures, raster: Raster) -> tuple[Array, torch.Tensor]:
+    """Pixels (n, 2) of what lies well on the mask, and descriptions (n, 128).
+
+    The edge of the picture itself is no edge of the mask. Kept for the next call, for photos and tiles are matched with
+    many others: at most two megabytes each.
+    """
+    px, described = features(raster.rgb)
+    side = 2 * BORDER_PX + 1
+    inner = cv2.erode(raster.mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+    h, w = raster.mask.shape
+    column, row = np.clip(px.astype(np.intp), 0, [w - 1, h - 1]).T
+    good = np.flatnonzero(inner[row, column])
+    return px[good], described[good]

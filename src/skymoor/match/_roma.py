@@ -6,15 +6,17 @@ Edstedt et al., RoMa: Robust Dense Feature Matching, CVPR 2024. The coarse featu
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from skymoor.batches import BatchMatcher, Pair
 from skymoor.errors import InputError
 from skymoor.match.flow import EngineFlow, warp_from_flows
 from skymoor.match.protocol import DenseMatcher
@@ -40,6 +42,7 @@ class RomaMatcher:
         device: "auto", "cpu" or "cuda"; half precision on CUDA only.
         coarse_px: both pictures are matched as squares of this side first.
         upsample_px: and refined as squares of this side; 0 leaves that out, for a third of the time.
+        pairs_at_once: of many; 0 for eight on CUDA and one on a CPU.
     """
 
     weights: str = ""
@@ -47,6 +50,7 @@ class RomaMatcher:
     device: str = "auto"
     coarse_px: int = 560
     upsample_px: int = 864
+    pairs_at_once: int = 0
 
     def __post_init__(self) -> None:
         if self.coarse_px < GRID_PX or self.coarse_px % GRID_PX:
@@ -72,10 +76,33 @@ class RomaMatcher:
         from PIL import Image
 
         warp, certainty = network.match(Image.fromarray(a.rgb), Image.fromarray(b.rgb), device=device)
-        width = warp.shape[2] // 2
-        there = EngineFlow(_numpy(warp[0, :, :width, 2:]), _numpy(certainty[0, :, :width]))
-        back = EngineFlow(_numpy(warp[0, :, width:, :2]), _numpy(certainty[0, :, width:]))
-        return warp_from_flows(a, b, there, back)
+        return _both_ways((a, b), warp[0], certainty[0])
+
+    def many(self, pairs: Iterable[Pair]) -> Iterator[Warp]:
+        """The warp of each pair, several of them at once; see `BatchMatcher`. Raises what a call raises."""
+        device = torch_device(self.device)
+        at_once = self.pairs_at_once or (8 if device == "cuda" else 1)
+        waiting = iter(pairs)
+        while some := list(islice(waiting, at_once)):
+            yield from self._together(some, device) if len(some) > 1 else (self(*some[0]),)
+
+    def _together(self, pairs: Sequence[Pair], device: str) -> Iterator[Warp]:
+        import torch
+        from PIL import Image
+
+        network = _roma(*self.ready(), device, self.coarse_px, self.upsample_px)
+        prepare = require("romatch.utils", "roma").get_tuple_transform_ops
+
+        def stacked(side_px: int) -> list[torch.Tensor]:
+            ready = [prepare(resize=(side_px, side_px), normalize=True)(images) for images in pictures]
+            return [torch.stack([pair[k] for pair in ready]).to(device) for k in (0, 1)]
+
+        pictures = [tuple(Image.fromarray(raster.rgb) for raster in pair) for pair in pairs]
+        fine = stacked(self.upsample_px) if self.upsample_px else [None, None]
+        warp, certainty = network.match(
+            *stacked(self.coarse_px), im_A_high_res=fine[0], im_B_high_res=fine[1], device=device
+        )
+        yield from (_both_ways(pair, warp[k], certainty[k]) for k, pair in enumerate(pairs))
 
 
 @dataclass(frozen=True)
@@ -121,6 +148,15 @@ class TinyRomaMatcher:
 
 
 _: tuple[type[DenseMatcher], ...] = (RomaMatcher, TinyRomaMatcher)
+_batches: type[BatchMatcher] = RomaMatcher
+
+
+def _both_ways(pair: Pair, warp: torch.Tensor, certainty: torch.Tensor) -> Warp:
+    """What the network says of one pair: side by side there and back, (h, 2 w, 4) and (h, 2 w)."""
+    width = warp.shape[1] // 2
+    there = EngineFlow(_numpy(warp[:, :width, 2:]), _numpy(certainty[:, :width]))
+    back = EngineFlow(_numpy(warp[:, width:, :2]), _numpy(certainty[:, width:]))
+    return warp_from_flows(*pair, there, back)
 
 
 @lru_cache(maxsize=1)

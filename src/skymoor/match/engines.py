@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from skymoor.batches import BatchMatcher, Pair, match_many
 from skymoor.choice import Choice
 from skymoor.match._aliked import AlikedMatcher
 from skymoor.match._anyloc import AnyLocRetriever
@@ -41,6 +42,10 @@ class MatcherOptions(Choice):
         warp: Warp = self.engine(a, b)
         return warp
 
+    def many(self, pairs: Iterable[Pair]) -> Iterator[Warp]:
+        """The warp of each pair by the chosen one; see `BatchMatcher`."""
+        return match_many(self.engine, pairs)
+
 
 @dataclass(frozen=True)
 class RetrieverOptions(Choice):
@@ -62,4 +67,5 @@ class RetrieverOptions(Choice):
 
 
 _: type[DenseMatcher] = MatcherOptions
+_batches: type[BatchMatcher] = MatcherOptions
 _retriever: type[Retriever] = RetrieverOptions

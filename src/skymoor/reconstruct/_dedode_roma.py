@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
+from skymoor.batches import match_many
 from skymoor.choice import files_of
 from skymoor.pictures import fitted
 from skymoor.reconstruct._dedode import DedodeDetector
@@ -103,13 +104,14 @@ class DedodeRomaMatcher:
             picture, _ = fitted(photos.read(photos.names[index]), self.side_px, 1)
             return Raster(picture, np.ones(picture.shape[:2], bool))
 
-        for done, (i, j) in enumerate(pairs):
+        warps = match_many(self.dense, ((small(i), small(j)) for i, j in pairs))
+        for done, ((i, j), warp) in enumerate(zip(pairs, warps, strict=True)):
             a, b = small(i), small(j)
             px_a, px_b = (
                 keypoints[k] * (np.array(raster.mask.shape[::-1]) / photos.sizes[k]) for k, raster in ((i, a), (j, b))
             )
             limits = {"max_distance_px": self.max_distance_px, "min_confidence": self.min_confidence}
-            yield i, j, match_keypoints(self.dense(a, b), px_a, px_b, **limits)
+            yield i, j, match_keypoints(warp, px_a, px_b, **limits)
             report(done + 1)
 
 

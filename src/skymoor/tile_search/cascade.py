@@ -175,7 +175,7 @@ class _Search:
         for tile in tiles[~self._done[photo, tiles]]:
             if self._spending.over():
                 return
-            pair = self._evidence.match(photo, int(tile))
+            (pair,) = self._evidence.match(photo, [int(tile)])
             self._pairs.append(pair)
             self._done[photo, tile] = True
             self._spending.spent += 1

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skymoor.batches import match_many
 from skymoor.errors import DegenerateGeometry, TooFewMatches
 from skymoor.geometry.ransac import ransac_similarity
 from skymoor.geometry.similarity import Similarity
@@ -16,7 +17,7 @@ from skymoor.match import CyclicOptions, DenseMatcher, cyclic_matches
 from skymoor.register import RegisterOptions, independent_cells, register, restated
 from skymoor.register.icp import IcpOptions, IcpResult, refine_icp
 from skymoor.tile_search.pictures import AirborneTiles, GroundPhoto, PictureOptions, lift_pair
-from skymoor.types import Array, Mask, Matches3D, Registration
+from skymoor.types import Array, Mask, Matches3D, Registration, Warp
 
 
 @dataclass(frozen=True)
@@ -108,11 +109,15 @@ class Evidence:
     probes: Array
     rng: np.random.Generator
 
-    def match(self, photo: int, tile: int) -> PairEvidence:
-        """Cyclically consistent matches that have a point on both sides."""
+    def match(self, photo: int, tiles: Sequence[int]) -> Iterator[PairEvidence]:
+        """Of a photo with each tile the cyclically consistent matches that have a point on both sides."""
+        pairs = ((self.photos[photo].raster, self.airborne.tiles[tile].raster) for tile in tiles)
+        for tile, warp in zip(tiles, match_many(self.matcher, pairs), strict=True):
+            yield self._evidence(photo, tile, warp)
+
+    def _evidence(self, photo: int, tile: int, warp: Warp) -> PairEvidence:
         options, a, b = self.options, self.photos[photo], self.airborne.tiles[tile]
-        found = cyclic_matches(self.matcher(a.raster, b.raster), options.cyclic, rng=self.rng)
-        matches = lift_pair(found, a, b)
+        matches = lift_pair(cyclic_matches(warp, options.cyclic, rng=self.rng), a, b)
         count = len(matches)
         if count > options.matches_per_pair:
             index = np.sort(self.rng.choice(count, options.matches_per_pair, replace=False))

@@ -54,8 +54,8 @@ def exhaustive(
     total = len(photos) * len(airborne.tiles)
     pairs = []
     for photo in range(len(photos)):
-        for tile in range(len(airborne.tiles)):
-            pairs.append(evidence.match(photo, tile))
+        for pair in evidence.match(photo, range(len(airborne.tiles))):
+            pairs.append(pair)
             progress(len(pairs), total)
     suggested = [evidence.hypothesis(pair.matches, level=False) for pair in evidence.best_pairs(pairs)]
     found = evidence.conclude(pairs, [hypothesis for hypothesis in suggested if hypothesis is not None])
