@@ -16,7 +16,8 @@ from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights, WeightsFet
 from skymoor.config import Site, load_site, parse_option, site_from_arguments, with_options
 from skymoor.errors import InputError
 from skymoor.geo.frame import EnuFrame
-from skymoor.pipeline import Job, register_airborne
+from skymoor.job import Job
+from skymoor.pipeline import register_airborne
 from skymoor.pipeline_ground import register_ground_sets
 from skymoor.products import NOT_REGISTERED, PlacedSet, write_products
 from skymoor.reference import read_reference

@@ -6,9 +6,10 @@ Every call is a stage: `store` keeps its result, so that the same command again 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -22,100 +23,29 @@ import skymoor.reconstruct
 import skymoor.register
 import skymoor.render
 from skymoor.choice import files_of
-from skymoor.densify import DepthEstimator, MetricScale
+from skymoor.densify import DepthEstimator
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
-from skymoor.ground import CameraWitness
+from skymoor.job import Job, Placed, refused
 from skymoor.lift import lift
-from skymoor.match import Placement, match_placed, search_placements
+from skymoor.match import Placement, decoy_scores, match_placed, search_placements
 from skymoor.model import SceneModel
 from skymoor.orient import LabelOptions, estimate_gravity, ground_points, level_from_gravity
 from skymoor.overlay import lay_on_reference, nadir_raster, reference_raster
 from skymoor.reconstruct import ReconstructOptions, reconstruct, with_focal
-from skymoor.register import Relief, compare_relief, focal_correction, judge, register
+from skymoor.register import compare_relief, focal_correction, height_agreement, judge, register
 from skymoor.render import nadir_view
-from skymoor.settings import Options
-from skymoor.store import Store
 from skymoor.types import (
-    Array,
     Array32,
-    Camera,
     Component,
     DepthMap,
-    Gravity,
-    Image,
     Mask,
     Matches3D,
-    Photos,
-    Progress,
-    Reference,
+    Raster,
     Registration,
     Render,
 )
 from skymoor.weights import stamps
-
-
-@dataclass(frozen=True, eq=False)
-class Job:
-    """What one set of photos is placed with. The stages `photos_stage` and "reference" must have run in `store`.
-
-    `track` gives the progress callback of a stage, by its name.
-    """
-
-    photos: Photos
-    reference: Reference
-    options: Options
-    store: Store
-    seed: int
-    track: Callable[[str], Progress]
-    name: str = "airborne"
-    photos_stage: str = "photos"
-
-
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """A component and all that was found out about its place. `component` is in the `level` frame.
-
-    `name` is that of its stages. A ground component stands on `base`, an airborne one; `walls` shows both, and each of
-    its photos may have said whether it agrees (`witnesses`). `metric` is its size as single photos say it.
-    """
-
-    name: str
-    component: Component
-    level_from_sfm: Similarity
-    registration: Registration
-    gravity: Gravity | None = None
-    depths: Sequence[DepthMap] = ()
-    model: SceneModel | None = None
-    render: Render | None = None
-    matches: Matches3D | None = None
-    relief: Relief | None = None
-    base: Placed | None = None
-    walls: Image | None = None
-    witnesses: Sequence[CameraWitness] = ()
-    metric: MetricScale | None = None
-
-    @property
-    def cameras_enu(self) -> list[Camera]:
-        """Cameras on Earth; empty where the component is not registered, and without those that contradict it."""
-        found = self.registration
-        if not found.registered or found.enu_from_level is None:
-            return []
-        return [self.component.cameras[k].moved(found.enu_from_level) for k in self._trusted]
-
-    @property
-    def shape_enu(self) -> Array | None:
-        """Covariances (n, 3, 3) m^2 of the centres of `cameras_enu` by the reconstruction alone; None if not known."""
-        placed = self.registration.enu_from_level
-        if placed is None or self.component.centre_covariances is None:
-            return None
-        turn = placed.scale * placed.rotation
-        return np.asarray(turn @ self.component.centre_covariances[self._trusted] @ turn.T)
-
-    @property
-    def _trusted(self) -> list[int]:
-        doubted = {witness.image for witness in self.witnesses if witness.contradicts}
-        return [k for k, camera in enumerate(self.component.cameras) if camera.image not in doubted]
 
 
 def register_airborne(job: Job) -> list[Placed]:
@@ -146,12 +76,6 @@ def ground_of(name: str, component: Component, labels: LabelOptions, job: Job, s
         after=[job.photos_stage, source],
         code=[skymoor.orient],
     )
-
-
-def refused(name: str, component: Component, reason: str) -> Placed:
-    """A component that has no place, with the reason."""
-    nothing = Registration(registered=False, reason=reason, enu_from_level=None)
-    return Placed(name, component, Similarity.identity(), nothing)
 
 
 def register_component(name: str, component: Component, job: Job) -> Placed:
@@ -189,18 +113,20 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
         reason = "the reference is too small for the model at any height that was searched"
         nothing = Registration(registered=False, reason=reason, enu_from_level=None)
         return Placed(name, level, level_from_sfm, nothing, gravity, depths, model, render)
+    decoys = _decoys(name, render, job)
     registration, matches = job.store.stage(
         f"{name}.register",
-        lambda: _register_best(placements, render, job),
+        lambda: _register_best(placements, decoys, render, job),
         options=(options.match, stamps(options.match.dense.ready()), options.lift, options.register, job.seed),
-        after=["reference", f"{name}.search"],
+        after=["reference", f"{name}.search", f"{name}.decoys"],
         code=[skymoor.match, skymoor.lift, skymoor.register, skymoor.geometry],
     )
     relief = None
     if registration.registered:
         _, up = lay_on_reference(render, registration, reference, options.match.min_height_confidence)
         relief = compare_relief(up, reference.height, reference.grid.pixel_m, options.relief)
-    return Placed(name, level, level_from_sfm, registration, gravity, depths, model, render, matches, relief)
+    found = Placed(name, level, level_from_sfm, registration, gravity, depths, model, render, matches, relief)
+    return replace(found, placements=placements)
 
 
 def densify_component(
@@ -272,14 +198,11 @@ def _render_nadir(name: str, model: SceneModel, job: Job) -> Render:
 
 def _search(name: str, render: Render, job: Job) -> list[Placement]:
     match = job.options.match
-    px_per_metre = render.view.pixel / job.reference.grid.pixel_m
     return job.store.stage(
         f"{name}.search",
         lambda: search_placements(
-            nadir_raster(render, match.min_height_confidence),
-            reference_raster(job.reference),
-            min_scale=match.min_height_m * px_per_metre,
-            max_scale=match.max_height_m * px_per_metre,
+            *_pictures(render, job),
+            **_scales(render, job),
             options=match.search,
             progress=job.track("search"),
         ),
@@ -289,10 +212,42 @@ def _search(name: str, render: Render, job: Job) -> list[Placement]:
     )
 
 
-def _register_best(placements: Sequence[Placement], render: Render, job: Job) -> tuple[Registration, Matches3D]:
+def _decoys(name: str, render: Render, job: Job) -> list[float]:
+    """What pictures like the render, that lie nowhere, score in the reference."""
+    match = job.options.match
+    return job.store.stage(
+        f"{name}.decoys",
+        lambda: decoy_scores(
+            *_pictures(render, job),
+            **_scales(render, job),
+            options=match.search,
+            decoys=match.decoys,
+            rng=np.random.default_rng(job.seed),
+            progress=job.track("decoys"),
+        ),
+        options=(match.decoys, job.seed),
+        after=[f"{name}.search"],
+        code=[skymoor.match, "skymoor.overlay"],
+    )
+
+
+def _pictures(render: Render, job: Job) -> tuple[Raster, Raster]:
+    """Render and reference as matchers take them."""
+    return nadir_raster(render, job.options.match.min_height_confidence), reference_raster(job.reference)
+
+
+def _scales(render: Render, job: Job) -> dict[str, Any]:
+    """Pixels of the reference per pixel of the render, for the flying heights that are searched."""
+    match, px_per_metre = job.options.match, render.view.pixel / job.reference.grid.pixel_m
+    return {"min_scale": match.min_height_m * px_per_metre, "max_scale": match.max_height_m * px_per_metre}
+
+
+def _register_best(
+    placements: Sequence[Placement], decoys: Sequence[float], render: Render, job: Job
+) -> tuple[Registration, Matches3D]:
     """Match densely at the best placements, and believe the one that most independent places confirm."""
     options, reference, rng = job.options, job.reference, np.random.default_rng(job.seed)
-    picture, map_picture = nadir_raster(render, options.match.min_height_confidence), reference_raster(reference)
+    picture, map_picture = _pictures(render, job)
     dense, cyclic = options.match.dense.engine, options.match.cyclic
     results: list[tuple[Registration, Matches3D]] = []
     for k, placement in enumerate(placements[: options.match.candidates]):
@@ -301,6 +256,11 @@ def _register_best(placements: Sequence[Placement], render: Render, job: Job) ->
         matches_2d, _ = match_placed(picture, map_picture, b_from_a, dense, cyclic, rng=rng)
         matches = lift(matches_2d, render, reference, metres_per_level, options.lift)
         registration = register(matches, reference.grid.pixel_m, options.register, rng=rng)
+        heights = None
+        if registration.registered:
+            _, up = lay_on_reference(render, registration, reference, options.match.min_height_confidence)
+            heights = height_agreement(up, reference.height, reference.grid.pixel_m)
         scores = [placement.score, *(other.score for j, other in enumerate(placements) if j != k)]
-        results.append((judge(registration, scores, len(matches_2d), options.register), matches))
+        found = judge(registration, scores, len(matches_2d), options.register, decoys=decoys, heights=heights)
+        results.append((found, matches))
     return max(results, key=lambda result: (result[0].registered, result[0].diagnostics.get("cells", 0.0)))

@@ -32,8 +32,9 @@ from skymoor.ground import (
     search_ground,
     walls_picture,
 )
+from skymoor.job import Job, Placed, refused
 from skymoor.orient import estimate_ground_gravity, level_from_gravity
-from skymoor.pipeline import Job, Placed, densify_component, ground_of, reconstruct_set, refused
+from skymoor.pipeline import densify_component, ground_of, reconstruct_set
 from skymoor.render import oblique_views
 from skymoor.settings import GroundSetOptions
 from skymoor.tile_search import ConsensusOptions, cascade, exhaustive, tile_px_for

@@ -26,8 +26,8 @@ from skymoor.export import (
 from skymoor.export.cameras import CameraRow
 from skymoor.geo.accuracy import ce90_m, le90_m
 from skymoor.geometry.similarity import Similarity
+from skymoor.job import Placed
 from skymoor.overlay import lay_on_reference
-from skymoor.pipeline import Placed
 from skymoor.register import CameraAccuracy, camera_accuracy
 from skymoor.report import confidence_picture, height_picture, match_picture, overlay_picture, residual_picture
 from skymoor.settings import MatchOptions, Options
@@ -154,6 +154,7 @@ def _component_summary(index: int, item: Placed, reference: Reference) -> dict[s
         "gravity": item.gravity,
         "metric_scale": item.metric,
         "relief": item.relief,
+        "hypotheses": _hypotheses(item, reference),
         "contradicting_cameras": [witness.image for witness in item.witnesses if witness.contradicts],
     }
     if found.registered and found.enu_from_level is not None:
@@ -164,6 +165,29 @@ def _component_summary(index: int, item: Placed, reference: Reference) -> dict[s
         summary |= {"predicted_relative_ce90_m": relative_ce90, "predicted_relative_le90_m": relative_le90}
         summary["scene_centre_enu"] = np.median(found.enu_from_level.apply(item.component.points), axis=0)
     return summary
+
+
+def _hypotheses(item: Placed, reference: Reference, count: int = 3) -> list[dict[str, float]]:
+    """The best places of an airborne component in the reference, whichever is believed: where its middle is."""
+    if item.render is None:
+        return []
+    told = []
+    for placement in item.placements[:count]:
+        east, north = reference.grid.enu_from_px(np.array([placement.place]))[0]
+        lat, lon, _ = reference.frame.lla_from_enu([[east, north, 0.0]])[0]
+        metres_per_unit = placement.scale * reference.grid.pixel_m / item.render.view.pixel
+        told.append(
+            {
+                "score": placement.score,
+                "lat": float(lat),
+                "lon": float(lon),
+                "east": float(east),
+                "north": float(north),
+                "turn_deg": float(np.degrees(placement.heading_rad) % 360),
+                "metres_per_unit": float(metres_per_unit),
+            }
+        )
+    return told
 
 
 def calibration_note(item: Placed) -> str:

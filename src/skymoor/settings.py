@@ -10,7 +10,7 @@ from skymoor.choice import files_of
 from skymoor.densify import MetricDepthOptions, MonocularDepth, RelativeDepthOptions, StereoOptions
 from skymoor.ground import GroundOptions, JointOptions
 from skymoor.lift import LiftOptions
-from skymoor.match import CyclicOptions, MatcherOptions, RetrieverOptions, SearchOptions
+from skymoor.match import CyclicOptions, DecoyOptions, MatcherOptions, RetrieverOptions, SearchOptions
 from skymoor.model import MeshBuilder, NerfBuilder, SceneBuilder
 from skymoor.orient import LabelOptions, OrientOptions, UprightOptions
 from skymoor.reconstruct import (
@@ -36,7 +36,7 @@ class MatchOptions:
         min_height_m, max_height_m: flying heights that are searched: the scale of a levelled model.
         candidates: placements that are matched densely; the one with most independent inliers is believed.
         min_height_confidence: heights of the render below it are neither matched nor compared nor written.
-        search, dense, cyclic: of the steps.
+        search, decoys, dense, cyclic: of the steps.
     """
 
     min_height_m: float = 20.0
@@ -44,6 +44,7 @@ class MatchOptions:
     candidates: int = 3
     min_height_confidence: float = 0.2
     search: SearchOptions = field(default_factory=SearchOptions)
+    decoys: DecoyOptions = field(default_factory=DecoyOptions)
     dense: MatcherOptions = field(default_factory=MatcherOptions)
     cyclic: CyclicOptions = field(default_factory=CyclicOptions)
 

@@ -99,7 +99,7 @@ def test_predicted_accuracy_covers_the_error_of_many_trials() -> None:
     of their errors is alike everywhere; and never less."""
     where = TRUTH.apply([[0.0, 0.0, 1.0], [0.6, -0.5, 1.0]])
     errors, predicted = [], []
-    for seed in range(40):
+    for seed in range(25):
         found = registered(planted(300, seed=seed), seed=seed)
         assert found.enu_from_level is not None and found.covariance is not None and found.centroid_enu is not None
         at = found.enu_from_level.apply(TRUTH.inverse().apply(where))
@@ -129,9 +129,9 @@ def test_matches_that_repeat_each_other_are_not_worth_more() -> None:
 
 @pytest.mark.parametrize("reach_m", [0.1, 15.0, 60.0])
 def test_errors_that_are_alike_far_around_are_noticed(reach_m: float) -> None:
-    """Half of the variance is alike over so far: the error of the mean is predicted, from fifty such fields."""
+    """Half of the variance is alike over so far: the error of the mean is predicted, from thirty such fields."""
     squared = []
-    for seed in range(50):
+    for seed in range(30):
         rng = np.random.default_rng([3, seed])
         matches = planted(300, seed=seed, sigma_m=SIGMA_M / np.sqrt(2))
         gap = np.linalg.norm(matches.xyz_level[:, None] - matches.xyz_level, axis=2) * TRUTH.scale
@@ -142,7 +142,7 @@ def test_errors_that_are_alike_far_around_are_noticed(reach_m: float) -> None:
         error = found.centroid_enu - TRUTH.apply(found.enu_from_level.inverse().apply(found.centroid_enu))
         squared.append(error @ np.linalg.solve(found.covariance[4:, 4:], error))
     assert 0.2 < np.mean(squared) / 3 < 1.8
-    assert np.mean(np.array(squared) < 6.25) > 0.75  # of 90 %
+    assert np.mean(np.array(squared) < 6.25) > 0.7  # of 90 %
 
 
 def test_a_transform_from_elsewhere_states_its_own_residuals() -> None:
@@ -182,6 +182,21 @@ class TestJudge:
     def test_good_is_good_and_one_place_needs_no_second(self) -> None:
         assert judge(self.GOOD, SCORES, 1000).registered
         assert judge(self.GOOD, [100.0], 1000).registered
+
+    def test_pictures_that_lie_nowhere_are_compared_with(self) -> None:
+        """Thrice what they score is no chance; a third more is."""
+        good = judge(self.GOOD, SCORES, 1000, decoys=[30.0, 33.0, 28.0, 31.0])
+        assert good.registered and 0 < good.diagnostics["chance_probability"] < 1e-3
+        assert good.diagnostics["decoy_score"] == 33
+        poor = judge(self.GOOD, [60.0, 30.0], 1000, decoys=[45.0, 50.0, 42.0, 46.0])
+        assert not poor.registered and "reach 50 here" in poor.reason and "chance (" in poor.reason
+
+    def test_heights_may_deny(self) -> None:
+        for heights, registered_ in ((None, True), (0.5, True), (0.1, False), (-0.9, False)):
+            judged = judge(self.GOOD, SCORES, 1000, heights=heights)
+            assert judged.registered == registered_
+            assert judged.diagnostics.get("height_agreement") == heights
+        assert "(correlation -0.90)" in judged.reason
 
     def test_thresholds_are_options(self) -> None:
         assert not judge(self.GOOD, SCORES, 1000, RegisterOptions(min_score=101.0)).registered

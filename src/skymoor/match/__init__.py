@@ -8,6 +8,7 @@ from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
 from skymoor.match._romav2 import RomaV2Matcher
 from skymoor.match.align import lay, match_placed
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
+from skymoor.match.decoys import DecoyOptions, decoy_scores
 from skymoor.match.engines import MatcherOptions, RetrieverOptions
 from skymoor.match.facade import Drift, FacadeSearchOptions, Shift, agreement, drift, search_shifts
 from skymoor.match.protocol import DenseMatcher, Retriever
@@ -18,6 +19,7 @@ __all__ = [
     "AlikedMatcher",
     "AnyLocRetriever",
     "CyclicOptions",
+    "DecoyOptions",
     "DenseMatcher",
     "Drift",
     "FacadeSearchOptions",
@@ -34,6 +36,7 @@ __all__ = [
     "TinyRomaMatcher",
     "agreement",
     "cyclic_matches",
+    "decoy_scores",
     "drift",
     "lay",
     "match_placed",

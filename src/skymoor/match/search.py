@@ -78,7 +78,15 @@ def search_placements(
     Scales at which the reference could not hold the picture are left out. An empty list says that none is left.
     """
     options = options or SearchOptions()
-    search = _Search(a, b, options)
+    return search_in(Sized(b), a, min_scale=min_scale, max_scale=max_scale, options=options, progress=progress)
+
+
+def search_in(
+    reference: Sized, a: Raster, *, min_scale: float, max_scale: float, options: SearchOptions, progress: Progress
+) -> list[Placement]:
+    """The same in a reference in which other pictures are searched, too: what is made of it is made once."""
+    b = reference.raster
+    search = _Search(a, reference, options)
     room = b.mask.sum() / max(1, a.mask.sum()) / options.min_overlap
     max_scale = min(max_scale, float(np.sqrt(room)))
     if max_scale < min_scale:
@@ -120,15 +128,29 @@ def alike(p: Placement, q: Placement, shape: tuple[int, int]) -> bool:
     return bool(turn < np.radians(15) and abs(np.log(p.scale / q.scale)) < 0.2 and apart < near)
 
 
+class Sized:
+    """A reference with its channels and spectra at every size that searches ask for."""
+
+    def __init__(self, raster: Raster) -> None:
+        self.raster = raster
+        self._pyramid = Pyramid(raster)
+        self._targets: dict[tuple[float, ChannelOptions], Target] = {}
+
+    def at(self, ratio: float, options: ChannelOptions) -> Target:
+        """Reduced to this share of its size."""
+        if (ratio, options) not in self._targets:
+            self._targets[ratio, options] = Target(make_channels(self._pyramid.at(ratio), options))
+        return self._targets[ratio, options]
+
+
 class _Search:
     """Both pictures at every size that the search asks for."""
 
-    def __init__(self, a: Raster, b: Raster, options: SearchOptions) -> None:
-        self._a, self._b = Pyramid(a), Pyramid(b)
+    def __init__(self, a: Raster, reference: Sized, options: SearchOptions) -> None:
+        self._a, self._reference = Pyramid(a), reference
         self._shape = a.mask.shape
-        self._b_side = max(b.mask.shape)
+        self._b_side = max(reference.raster.mask.shape)
         self._options = options
-        self._targets: dict[float, Target] = {}
 
     def ratio(self, scale: float, template_px: int) -> float:
         """By how much the reference is reduced for a picture at `scale` to be about `template_px` long, at most 1."""
@@ -171,9 +193,7 @@ class _Search:
         return best
 
     def _target(self, ratio: float) -> Target:
-        if ratio not in self._targets:
-            self._targets[ratio] = Target(make_channels(self._b.at(ratio), self._options.channels))
-        return self._targets[ratio]
+        return self._reference.at(ratio, self._options.channels)
 
     def _place(self, trial: Placement, channels: Channels, ratio: float, reach: int = 8) -> Placement:
         """The best place within `reach` pixels, and its score; `channels` are the picture's at the trial's scale."""

@@ -2,6 +2,7 @@
 """Where a model is on Earth, how well that is known, and whether to believe it."""
 
 from skymoor.register.airborne import RegisterOptions, independent_cells, register, restated, with_covariance_of
+from skymoor.register.chance import chance_probability, height_agreement
 from skymoor.register.covariance import CameraAccuracy, camera_accuracy
 from skymoor.register.ground import (
     Candidate,
@@ -24,8 +25,10 @@ __all__ = [
     "Relief",
     "ReliefOptions",
     "camera_accuracy",
+    "chance_probability",
     "compare_relief",
     "focal_correction",
+    "height_agreement",
     "independent_cells",
     "judge",
     "judge_ground",

@@ -33,6 +33,8 @@ class RegisterOptions:
         min_cells: independent places that must agree.
         max_tilt_deg: a registration that tilts the level model by more is a refusal.
         min_score, min_score_margin: of the placement search, see `judge`.
+        max_chance: probability that a picture which lies nowhere scores as much.
+        min_height_agreement: correlation of heights of the model and of the reference, where both have relief.
     """
 
     inlier_m: float = 1.0
@@ -44,6 +46,8 @@ class RegisterOptions:
     max_tilt_deg: float = 10.0
     min_score: float = 40.0
     min_score_margin: float = 1.3
+    max_chance: float = 0.005
+    min_height_agreement: float = 0.2
 
 
 def register(

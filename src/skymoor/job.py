@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the pipeline is given for a set of photos, and what it has found out about each component."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skymoor.densify import MetricScale
+from skymoor.geometry.similarity import Similarity
+from skymoor.ground import CameraWitness
+from skymoor.match import Placement
+from skymoor.model import SceneModel
+from skymoor.register import Relief
+from skymoor.settings import Options
+from skymoor.store import Store
+from skymoor.types import (
+    Array,
+    Camera,
+    Component,
+    DepthMap,
+    Gravity,
+    Image,
+    Matches3D,
+    Photos,
+    Progress,
+    Reference,
+    Registration,
+    Render,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What one set of photos is placed with. The stages `photos_stage` and "reference" must have run in `store`.
+
+    `track` gives the progress callback of a stage, by its name.
+    """
+
+    photos: Photos
+    reference: Reference
+    options: Options
+    store: Store
+    seed: int
+    track: Callable[[str], Progress]
+    name: str = "airborne"
+    photos_stage: str = "photos"
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A component and all that was found out about its place. `component` is in the `level` frame.
+
+    `name` is that of its stages. A ground component stands on `base`, an airborne one; `walls` shows both, and each of
+    its photos may have said whether it agrees (`witnesses`). `metric` is its size as single photos say it.
+    `placements` are all places in the reference that were found for an airborne one, the believed one among them.
+    """
+
+    name: str
+    component: Component
+    level_from_sfm: Similarity
+    registration: Registration
+    gravity: Gravity | None = None
+    depths: Sequence[DepthMap] = ()
+    model: SceneModel | None = None
+    render: Render | None = None
+    matches: Matches3D | None = None
+    relief: Relief | None = None
+    base: Placed | None = None
+    walls: Image | None = None
+    witnesses: Sequence[CameraWitness] = ()
+    metric: MetricScale | None = None
+    placements: Sequence[Placement] = ()
+
+    @property
+    def cameras_enu(self) -> list[Camera]:
+        """Cameras on Earth; empty where the component is not registered, and without those that contradict it."""
+        found = self.registration
+        if not found.registered or found.enu_from_level is None:
+            return []
+        return [self.component.cameras[k].moved(found.enu_from_level) for k in self._trusted]
+
+    @property
+    def shape_enu(self) -> Array | None:
+        """Covariances (n, 3, 3) m^2 of the centres of `cameras_enu` by the reconstruction alone; None if not known."""
+        placed = self.registration.enu_from_level
+        if placed is None or self.component.centre_covariances is None:
+            return None
+        turn = placed.scale * placed.rotation
+        return np.asarray(turn @ self.component.centre_covariances[self._trusted] @ turn.T)
+
+    @property
+    def _trusted(self) -> list[int]:
+        doubted = {witness.image for witness in self.witnesses if witness.contradicts}
+        return [k for k, camera in enumerate(self.component.cameras) if camera.image not in doubted]
+
+
+def refused(name: str, component: Component, reason: str) -> Placed:
+    """A component that has no place, with the reason."""
+    nothing = Registration(registered=False, reason=reason, enu_from_level=None)
+    return Placed(name, component, Similarity.identity(), nothing)
