@@ -104,7 +104,14 @@ def _outcome(rng, found, truth, bias, height_m, side_m, drawn):  # type: ignore[
         EnuFrame(0.0, 0.0, 0.0), Grid(0.0, 0.0, 0.5, (1, 1)), np.zeros((1, 1, 3), np.uint8), np.ones((1, 1), bool),
         np.zeros((1, 1), np.float32), REFERENCE, 0.5,
     )  # fmt: skip
-    calibration = Calibration(True, 1000.0, 0.0, 1 - focal_sigma, 1 + focal_sigma, False)
+    calibration = Calibration(
+        shared_intrinsics=True,
+        focal_px=1000.0,
+        focal_sigma_ratio=0.0,
+        focal_low_ratio=1 - focal_sigma,
+        focal_high_ratio=1 + focal_sigma,
+        uncertain=False,
+    )
     accuracy = camera_accuracy(found, placed, reference, calibration, shape)
     error = placed - true_enu
     relative, total = error - bias, error

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How often right places are believed and wrong ones refused: windows of models in their own and in other references.
+
+    python benchmarks/refusal.py RUN=SITE.toml [RUN=SITE.toml ...] [--elsewhere ORTHO=DSM] [--windows 40]
+        [--results FILE]
+
+RUN is the folder of a finished run whose place is known to be right, SITE.toml what it was run on. From each run's
+nadir render windows of random place, size and shape are cut, and turned, brightened and made noisy at random. Each is placed
+in its own reference with the product's search, decoys, matching, registration and judgement: a true case, and right if
+the window's own points come within two metres (median) of where the whole model's registration puts them. It is then
+placed in places where nothing is right: another site's reference, its own mirrored, and its own with heights of another
+place. Told are the shares that are believed at the product's limits, the same for limits on the probability of chance
+alone (the ROC), and what was believed wrongly.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skymoor.config import load_site
+from skymoor.geometry.similarity import Similarity
+from skymoor.lift import lift
+from skymoor.match import DecoyOptions, SearchOptions, decoy_scores, match_placed, search_placements
+from skymoor.match.decoys import mirrored
+from skymoor.overlay import lay_on_reference, nadir_raster, reference_raster
+from skymoor.reference import read_reference
+from skymoor.register import height_agreement, judge, register
+from skymoor.settings import Options
+from skymoor.types import Reference, Registration, Render, View
+
+Array = NDArray[np.float64]
+RIGHT_M = 2.0
+SEARCH = SearchOptions(reference_px=320, template_px=96)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A placed model: its render in level units, where it is, its reference and the photos' height range."""
+
+    name: str
+    render: Render
+    enu_from_level: Similarity
+    reference: Reference
+
+
+def model_of(run: Path, site: Path) -> Model:
+    """The first airborne component of a finished run; the level frame is as the render says it, in metres of ENU."""
+    summary = json.loads((run / "summary.json").read_text())
+    component = summary["sets"][0]["components"][0]
+    assert component["status"] == "REGISTERED", run
+    files = load_site(site).reference
+    reference = read_reference(files.ortho, files.dsm, files.vertical_datum, files.covariance, pixel_m=0.6)
+    arrays = np.load(run / "renders/airborne_0_nadir.npz")
+    matches = np.load(run / "matches/airborne_0.npz")
+    placed = _similarity(matches["xyz_level"], matches["xyz_enu"], matches["inliers"])
+    xyz = arrays["xyz"]
+    known = np.isfinite(xyz[..., 0])
+    rows, columns = np.nonzero(known)
+    pixel = float(np.median(np.abs(np.diff(xyz[..., 0], axis=1)[known[:, 1:] & known[:, :-1]])))
+    x0 = float(np.median(xyz[rows, columns, 0] - (columns + 0.5) * pixel))
+    y0 = float(np.median(-xyz[rows, columns, 1] - (rows + 0.5) * pixel))
+    view = View(np.diag([1.0, -1.0, -1.0]), x0, y0, pixel, known.shape)
+    return Model(run.name, Render(view, arrays["rgb"], xyz, arrays["confidence"]), placed, reference)
+
+
+def _similarity(level: Array, enu: Array, inliers: Array) -> Similarity:
+    from skymoor.geometry.similarity import umeyama
+
+    return umeyama(level[inliers], enu[inliers])
+
+
+def window(model: Model, rng: np.random.Generator) -> Render | None:
+    """A part of the render on another day; None where it shows too little."""
+    h, w = model.render.confidence.shape
+    size_m = rng.uniform(45, 110)
+    side = round(size_m / (model.render.view.pixel * model.enu_from_level.scale))
+    rows, columns = (min(side, h), min(round(side * rng.uniform(0.7, 1.4)), w))
+    top, left = rng.integers(0, h - rows + 1), rng.integers(0, w - columns + 1)
+    part = np.s_[top : top + rows, left : left + columns]
+    xyz, view = model.render.xyz[part], model.render.view
+    if np.isfinite(xyz[..., 0]).mean() < 0.7:
+        return None
+    rgb = 255 * (model.render.rgb[part] / 255.0) ** rng.uniform(0.6, 1.6)
+    rgb = np.clip(rgb * rng.uniform(0.7, 1.2) + rng.normal(scale=rng.uniform(2, 12), size=rgb.shape), 0, 255)
+    cut = replace(view, x0=view.x0 + left * view.pixel, y0=view.y0 + top * view.pixel, shape=(rows, columns))
+    return Render(cut, rgb.astype(np.uint8), xyz, model.render.confidence[part])
+
+
+def placed_in(render: Render, reference: Reference, metres: float, rng: np.random.Generator) -> Registration:
+    """As the pipeline places a render; scales within a factor of 1.6 of the true one are searched."""
+    options = Options()
+    picture, target = nadir_raster(render, options.match.min_height_confidence), reference_raster(reference)
+    px = render.view.pixel * metres / reference.grid.pixel_m
+    scales = {"min_scale": px / 1.6, "max_scale": px * 1.6}
+    placements = search_placements(picture, target, **scales, options=SEARCH)
+    if not placements:
+        return Registration(registered=False, reason="too small", enu_from_level=None)
+    chance = decoy_scores(picture, target, **scales, options=SEARCH, decoys=DecoyOptions(count=3), rng=rng)
+    found = []
+    for k, placement in enumerate(placements[:2]):
+        matrix = placement.matrix(picture.mask.shape)
+        pairs, _ = match_placed(picture, target, matrix, options.match.dense.engine, options.match.cyclic, rng=rng)
+        metres_per_level = placement.scale * reference.grid.pixel_m / render.view.pixel
+        matches = lift(pairs, render, reference, metres_per_level, options.lift)
+        registration = register(matches, reference.grid.pixel_m, options.register, rng=rng, with_covariance=False)
+        heights = None
+        if registration.registered:
+            _, up = lay_on_reference(render, registration, reference, options.match.min_height_confidence)
+            heights = height_agreement(up, reference.height, reference.grid.pixel_m)
+        scores = [placement.score, *(p.score for j, p in enumerate(placements) if j != k)]
+        found.append(judge(registration, scores, len(pairs), options.register, decoys=chance, heights=heights))
+    return max(found, key=lambda one: (one.registered, one.diagnostics.get("cells", 0.0)))
+
+
+def error_m(render: Render, found: Registration, truth: Similarity) -> float:
+    """Median distance of the window's points from where they are."""
+    if found.enu_from_level is None:
+        return float("inf")
+    points = render.xyz[np.isfinite(render.xyz[..., 0])][::50].astype(np.float64)
+    return float(np.median(np.linalg.norm(found.enu_from_level.apply(points) - truth.apply(points), axis=1)))
+
+
+def wrong_references(model: Model, others: list[Reference], rng: np.random.Generator) -> list[tuple[str, Reference]]:
+    """Places where nothing is right."""
+    own = model.reference
+    flipped = mirrored(reference_raster(own))
+    height = np.ascontiguousarray(own.height[:, ::-1])
+    mirror = replace(own, rgb=flipped.rgb, mask=flipped.mask, height=height)
+    other = others[int(rng.integers(len(others)))]
+    heights = cv2.resize(np.nan_to_num(other.height, nan=0.0), own.height.shape[::-1])
+    return [("mirrored", mirror), ("another", other), ("heights of another", replace(own, height=heights))]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("runs", nargs="+")
+    parser.add_argument("--elsewhere", help="orthophoto and DSM of a place where nothing is right")
+    parser.add_argument("--windows", type=int, default=40)
+    parser.add_argument("--results", type=Path)
+    arguments = parser.parse_args()
+    models = [model_of(*(Path(part) for part in pair.split("="))) for pair in arguments.runs]
+    elsewhere = []
+    if arguments.elsewhere:
+        ortho, dsm = (Path(part) for part in arguments.elsewhere.split("="))
+        elsewhere = [read_reference(ortho, dsm, "ellipsoid", np.eye(3), pixel_m=0.6)]
+    rows = []
+    for number, model in enumerate(models):
+        others = [m.reference for m in models if m is not model] + elsewhere
+        for k in range(arguments.windows):
+            rng = np.random.default_rng([5, number, k])
+            render = window(model, rng)
+            if render is None:
+                continue
+            metres, start = model.enu_from_level.scale, time.perf_counter()
+            cases = [("own", model.reference), *wrong_references(model, others, rng)]
+            for kind, reference in cases:
+                found = placed_in(render, reference, metres, rng)
+                row = {
+                    "model": model.name,
+                    "window": k,
+                    "kind": kind,
+                    "registered": found.registered,
+                    "reason": found.reason,
+                    "error_m": error_m(render, found, model.enu_from_level) if kind != "another" else None,
+                    **{key: found.diagnostics.get(key) for key in KEYS},
+                }
+                rows.append(row)
+            print(f"{model.name} {k}: {time.perf_counter() - start:.0f} s", flush=True)
+            if arguments.results:
+                arguments.results.write_text(json.dumps({"summary": told(rows), "rows": rows}, indent=1) + "\n")
+    print(json.dumps(told(rows), indent=1))
+
+
+KEYS = ("search_score", "second_score", "decoy_score", "chance_probability", "height_agreement", "cells")
+
+
+def told(rows: list[dict[str, object]]) -> dict[str, object]:
+    """Shares believed, right and wrong, and the ROC of the probability of chance."""
+    own = [row for row in rows if row["kind"] == "own"]
+    wrong = [row for row in rows if row["kind"] in ("mirrored", "another")]
+    # Heights of another place under the right colours: the place is right in plan, and must not be believed in height.
+    half = [row for row in rows if row["kind"] == "heights of another"]
+
+    def right(row: dict[str, object]) -> bool:
+        return float(row["error_m"]) <= RIGHT_M  # type: ignore[arg-type]
+
+    roc = []
+    for limit in (0.5, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001, 1e-4):
+        passed = [[float(r["chance_probability"] or 1.0) <= limit for r in part] for part in (own, wrong)]  # type: ignore[arg-type]
+        roc.append([limit, *(float(np.mean(p)) if p else None for p in passed)])
+    return {
+        "true cases": len(own),
+        "believed": sum(bool(r["registered"]) for r in own),
+        "believed and right": sum(bool(r["registered"]) and right(r) for r in own),
+        "wrong places": len(wrong),
+        "believed in wrong places": sum(bool(r["registered"]) for r in wrong),
+        "heights of another place": len(half),
+        "believed with those": sum(bool(r["registered"]) for r in half),
+        "roc: limit on chance, true passed, wrong passed": roc,
+    }
+
+
+if __name__ == "__main__":
+    main()
