@@ -46,11 +46,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return EXIT_REGISTERED if done else EXIT_NOT_REGISTERED
         return EXIT_REGISTERED
     except (InputError, BackendUnavailable) as error:  # an engine that is not here was asked for
-        print(f"skymoor: {error}", file=sys.stderr)
+        _tell(error)
         return EXIT_USAGE
     except SkymoorError as error:
-        print(f"skymoor: {error}", file=sys.stderr)
+        _tell(error)
         return EXIT_ERROR
     except KeyboardInterrupt:
         print("skymoor: stopped; the same command goes on from here", file=sys.stderr)
         return 130
+
+
+def _tell(error: SkymoorError) -> None:
+    """One line, also where a file's name or a library's message has several."""
+    print(" ".join(f"skymoor: {error}".split("\n")), file=sys.stderr)

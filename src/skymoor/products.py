@@ -65,7 +65,9 @@ def write_products(
 ) -> dict[str, Any]:
     """Write all products of a run; returns the summary."""
     rows = [row for found in sets for row in camera_rows(found, reference)]
-    store.remove("evaluation.json")  # of the cameras of a former run
+    # Of the cameras of a former run; the summary comes back last, so that none describes products of another run.
+    for name in ("evaluation.json", "summary.json"):
+        store.remove(name)
     store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
     store.write_json("cameras.geojson", cameras_geojson(rows))
     for found in sets:

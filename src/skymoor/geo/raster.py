@@ -29,6 +29,10 @@ from skymoor.geo.frame import EnuFrame
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
+GDAL_CACHE_MB = 256
+# Bytes that a raster may make GDAL hold at once: it decodes whole strips or tiles.
+LARGEST_BLOCK_BYTES = 512e6
+
 
 @dataclass(frozen=True, eq=False)
 class MapRaster:
@@ -49,6 +53,7 @@ class MapRaster:
         with opened(path) as source:
             wkt = source.crs.to_wkt() if source.crs else ""
             transform, shape, points = source.transform, (source.height, source.width), source.gcps[0]
+            _require_readable(source, path)
         if transform.is_identity or transform.is_degenerate:
             hint = "warp it with gdalwarp" if points else "export it again as a GeoTIFF with its position"
             raise InputError(f"{path}: the raster has no geotransform, so nothing says where it lies; {hint}")
@@ -120,10 +125,22 @@ def opened(path: Path) -> Iterator[DatasetReader]:
         # A raster without a position is refused by name, not warned of.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         # Older GeoTIFFs hide their vertical CRS unless asked.
-        with rasterio.Env(GTIFF_REPORT_COMPD_CS=True):
+        with rasterio.Env(GTIFF_REPORT_COMPD_CS=True, GDAL_CACHEMAX=GDAL_CACHE_MB):
             source = rasterio.open(path)
     with source:
         yield source
+
+
+def _require_readable(source: DatasetReader, path: Path) -> None:
+    if any(kind.startswith("complex") for kind in source.dtypes):
+        raise InputError(f"{path}: its pixels are complex numbers, neither colours nor heights; check the file")
+    for (rows, columns), kind in zip(source.block_shapes, source.dtypes, strict=True):
+        held = rows * columns * np.dtype(kind).itemsize
+        if held > LARGEST_BLOCK_BYTES:
+            raise InputError(
+                f"{path}: stores {columns} by {rows} pixels in one piece of {held / 1e6:.0f} MB; write it again in "
+                "tiles (gdal_translate -co TILED=YES)"
+            )
 
 
 @contextmanager
@@ -168,7 +185,7 @@ def read_colours(source: DatasetReader, window: Window, step: tuple[int, int] = 
         planes = source.read(sorted(set(bands)), window=window, out_shape=(len(set(bands)), *out_shape))
         valid = source.dataset_mask(window=window, out_shape=out_shape) > 0
     if labels[0] == ColorInterp.palette and source.count <= 2:
-        table = np.zeros((256, 3))
+        table = np.zeros((np.iinfo(planes.dtype).max + 1, 3))
         for index, colour in source.colormap(1).items():
             table[index] = colour[:3]
         colours = table[planes[0]].astype(np.float32)
