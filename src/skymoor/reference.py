@@ -37,8 +37,8 @@ Array32 = NDArray[np.float32]
 TILE_PX = 1024
 # Side of what one tile may read of a source, in pixels: memory is bounded by it, however large the source.
 WINDOW_PX = 2048
-# Beyond it, reading takes longer than anybody waits for.
-LARGEST_OVERLAP_PX = 1e10
+# Of one source; they take ten minutes to read.
+LARGEST_OVERLAP_PX = 4e9
 # Heights on Earth, with a margin for geoid and towers; beyond are feet, centimetres or a nodata value not declared.
 HEIGHT_RANGE_M = (-1000.0, 10000.0)
 MIN_SIDE_PX = 8

@@ -70,6 +70,8 @@ class MapRaster:
                 f"{path}: no transformation is known from its coordinate reference system to WGS 84 "
                 f"({str(error).rstrip('.')}); assign the right one with gdal_edit -a_srs"
             ) from None
+        if not (raster.crs.is_projected or raster.crs.is_geographic):
+            raise InputError(f"{path}: its coordinate reference system ({crs.name}) is not that of a map; warp it to one")
         if not (np.isfinite(lon) and abs(lat) <= 90):
             raise InputError(f"{path}: its geotransform lies outside its coordinate reference system; check both")
         return raster
