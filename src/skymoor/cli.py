@@ -58,5 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _tell(error: SkymoorError) -> None:
     """One line that a terminal can show, also where a file's name or a library's message has other characters."""
-    line = "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in str(error))
+    line = "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in str(error)
+    )
     print(f"skymoor: {line}", file=sys.stderr)

@@ -23,6 +23,7 @@ from skymoor.geo.raster import (
     MapRaster,
     block_mean,
     clipped_to_raster,
+    has_palette,
     opened,
     read_colours,
     read_heights,
@@ -219,7 +220,7 @@ def _tiles(shape: tuple[int, int], side: int) -> Iterator[tuple[slice, slice]]:
 
 def _stretch(source: DatasetReader, raster: MapRaster) -> Callable[[Array32], Array32]:
     """What brings colours to 0..255: nothing for 8 bits, else the middle 98 % of all valid values of all bands."""
-    if all(kind == "uint8" for kind in source.dtypes):
+    if has_palette(source) or all(kind == "uint8" for kind in source.dtypes):
         return lambda colours: colours
     rows, columns = raster.shape
     step = max(1, rows // STATISTICS_PX), max(1, columns // STATISTICS_PX)

@@ -71,7 +71,9 @@ class MapRaster:
                 f"({str(error).rstrip('.')}); assign the right one with gdal_edit -a_srs"
             ) from None
         if not (raster.crs.is_projected or raster.crs.is_geographic):
-            raise InputError(f"{path}: its coordinate reference system ({crs.name}) is not that of a map; warp it to one")
+            raise InputError(
+                f"{path}: its coordinate reference system ({crs.name}) is not that of a map; warp it to one"
+            )
         if not (np.isfinite(lon) and abs(lat) <= 90):
             raise InputError(f"{path}: its geotransform lies outside its coordinate reference system; check both")
         return raster
@@ -186,7 +188,7 @@ def read_colours(source: DatasetReader, window: Window, step: tuple[int, int] = 
     with _named_errors(source.name):
         planes = source.read(sorted(set(bands)), window=window, out_shape=(len(set(bands)), *out_shape))
         valid = source.dataset_mask(window=window, out_shape=out_shape) > 0
-    if labels[0] == ColorInterp.palette and source.count <= 2:
+    if has_palette(source):
         table = np.zeros((np.iinfo(planes.dtype).max + 1, 3))
         for index, colour in source.colormap(1).items():
             table[index] = colour[:3]
@@ -196,6 +198,11 @@ def read_colours(source: DatasetReader, window: Window, step: tuple[int, int] = 
     valid &= np.isfinite(colours).all(axis=-1)
     colours[~valid] = 0.0
     return colours, valid.astype(np.float32)
+
+
+def has_palette(source: DatasetReader) -> bool:
+    """Whether pixels are numbers of colours, each 0 to 255."""
+    return bool(source.colorinterp[0] == ColorInterp.palette and source.count <= 2)
 
 
 def window_around(px: Array, shape: tuple[int, int], step: tuple[int, int]) -> Window | None:
