@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -13,6 +14,7 @@ from skymoor import __version__
 from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 EXIT_REGISTERED, EXIT_ERROR, EXIT_USAGE, EXIT_NOT_REGISTERED = 0, 1, 2, 3
 
 
@@ -51,12 +53,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SkymoorError as error:
         _tell(error)
         return EXIT_ERROR
+    except OSError as error:
+        if error.errno not in NO_ROOM:
+            raise
+        _tell(f"{error.filename or 'a file'}: cannot be written: {error.strerror}; the same command goes on from here")
+        return EXIT_USAGE
     except KeyboardInterrupt:
         print("skymoor: stopped; the same command goes on from here", file=sys.stderr)
         return 130
 
 
-def _tell(error: SkymoorError) -> None:
+def _tell(error: SkymoorError | str) -> None:
     """One line that a terminal can show, also where a file's name or a library's message has other characters."""
     line = "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in str(error)

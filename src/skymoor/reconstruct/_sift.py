@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -124,7 +125,8 @@ def _write_greyscale(photos: Photos, folder: Path) -> None:
     for index, (name, size) in enumerate(zip(photos.names, photos.sizes, strict=True)):
         path = folder / colmap_name(index, size)
         path.parent.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(path), cv2.cvtColor(photos.read(name), cv2.COLOR_RGB2GRAY))
+        if not cv2.imwrite(str(path), cv2.cvtColor(photos.read(name), cv2.COLOR_RGB2GRAY)):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))  # OpenCV has no other word for it
 
 
 def _new_camera(db: pycolmap.Database, model: str, size: tuple[int, int]) -> tuple[int, int]:
