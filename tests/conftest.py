@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from pictures import Overhead, overhead
 from sharing import shared
 from skymoor.simulate.plan import dates_of
 from skymoor.simulate.site import Site, write_site
+from small_run import run
 
 
 @pytest.fixture
@@ -65,3 +68,15 @@ def other_day(tmp_path_factory: pytest.TempPathFactory, small_world: SmallWorld)
     """The same on the day of the reference: another season, another sun, other cars."""
     date = dates_of(OPTIONS).satellite
     return shared(tmp_path_factory, "other_day", lambda: overhead(small_world.scene(date)))
+
+
+@pytest.fixture(scope="session")
+def finished(small_site: Site, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of its airborne photos, registered; do not write into it."""
+
+    def make() -> Path:
+        out = tmp_path_factory.mktemp("run") / "out"
+        assert run(small_site.folder / "airborne.toml", out) == 0
+        return out
+
+    return shared(tmp_path_factory, "run", make)
