@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kills a run in every one of its stages, starts it again each time, and compares it with one that was left alone.
 
-    python benchmarks/kill_and_resume.py SITE.toml WORK [--seed 0] [--json RESULT.json]
+    python benchmarks/kill_and_resume.py SITE.toml WORK [--seed 0] [--json RESULT.json] [--set NAME=VALUE ...]
 
 WORK/whole is the undisturbed run, WORK/killed the other. Kills come by SIGKILL at a random moment of each stage, and
 twice while products are written. Every file of the results must be the same, byte for byte, but for the seconds and
@@ -31,16 +31,19 @@ def main() -> None:
     parser.add_argument("work", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--set", action="append", default=[], help="an option of the runs")
     asked = parser.parse_args()
+    command = [sys.executable, "-c", PROGRAM, "run", str(asked.site), "--quiet"]
+    command += [word for option in asked.set for word in ("--set", option)]
     whole, killed = asked.work / "whole", asked.work / "killed"
     for out in (whole, killed):
         if (out / "stages").exists():
             sys.exit(f"{out}: holds a run already; delete it")
-    seconds = finish(asked.site, whole)
-    again = finish(asked.site, whole)  # all from the cache: what starting and writing products takes
+    seconds = finish(command, whole)
+    again = finish(command, whole)  # all from the cache: what starting and writing products takes
     stages = json.loads((whole / "summary.json").read_text())["stages"]
-    kills = kill_in_every_stage(asked.site, killed, stages, again, random.Random(asked.seed))
-    resumed = finish(asked.site, killed)
+    kills = kill_in_every_stage(command, killed, stages, again, random.Random(asked.seed))
+    resumed = finish(command, killed)
     differing = compare(whole, killed)
     result = {
         "seconds_whole": round(seconds, 1),
@@ -57,37 +60,36 @@ def main() -> None:
     sys.exit(bool(differing))
 
 
-def start(site: Path, out: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-c", PROGRAM, "run", str(site), "--out", str(out), "--quiet"]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
+def start(command: list[str], out: Path) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([*command, "--out", str(out)], stdout=subprocess.DEVNULL, start_new_session=True)
 
 
-def finish(site: Path, out: Path) -> float:
+def finish(command: list[str], out: Path) -> float:
     """Seconds of a run that is left alone."""
     begin = time.perf_counter()
-    status = start(site, out).wait()
+    status = start(command, out).wait()
     if status not in FINISHED:
         sys.exit(f"{out}: the run ended with status {status}")
     return time.perf_counter() - begin
 
 
 def kill_in_every_stage(
-    site: Path, out: Path, stages: list[dict[str, Any]], start_s: float, rng: random.Random
+    command: list[str], out: Path, stages: list[dict[str, Any]], start_s: float, rng: random.Random
 ) -> list[dict[str, Any]]:
     """Kill at a random moment of the stage that is due, until all have been done; then twice among the products."""
     kills: list[dict[str, Any]] = []
     while due := [stage for stage in stages if not done(out, stage["name"])]:
         # Every third time it is let live, or a stage that takes longer than its share would never end.
         patience = start_s + rng.uniform(0, due[0]["seconds"] + 1) * (1 if len(kills) % 3 else 4)
-        kills += killed_after(site, out, stages, patience)
+        kills += killed_after(command, out, stages, patience)
     for _ in range(2):
-        kills += killed_after(site, out, stages, rng.uniform(0.4, 1.0) * start_s)
+        kills += killed_after(command, out, stages, rng.uniform(0.4, 1.0) * start_s)
     return kills
 
 
-def killed_after(site: Path, out: Path, stages: list[dict[str, Any]], patience: float) -> list[dict[str, Any]]:
+def killed_after(command: list[str], out: Path, stages: list[dict[str, Any]], patience: float) -> list[dict[str, Any]]:
     """What was killed, none if the run ended before."""
-    process = start(site, out)
+    process = start(command, out)
     try:
         status = process.wait(patience)
     except subprocess.TimeoutExpired:
