@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from skymoor.cli import main
+from skymoor.store import Store, _photos, _run
 from tiny_site import SITE, Case, assert_refused, content, make_site, run
 
 
@@ -100,6 +101,17 @@ def test_refused(case: Case, tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert_refused(make_site(tmp_path / "site"), case, lambda: capsys.readouterr().err)
 
 
+def test_a_second_run_in_one_folder_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    site = make_site(tmp_path)
+    with Store.open(site / "out"):
+        before = content(site)
+        assert run(site) == 2
+        assert content(site) == before
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and "another run is writing here" in lines[0] and "--out" in lines[0]
+    assert run(site) == 3
+
+
 def test_names_that_look_like_markup(tmp_path: Path) -> None:
     site = make_site(tmp_path / "[/bold]")
     (site / "site.toml").write_text('name = "[/x] [red]"\n' + SITE)
@@ -123,8 +135,6 @@ def test_the_folder_of_a_former_run_is_used_again(tmp_path: Path) -> None:
 
 
 def test_photos_that_vanish_between_two_looks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from skymoor.store import _photos, _run
-
     site = make_site(tmp_path)
     with pytest.MonkeyPatch.context() as patch:
 
