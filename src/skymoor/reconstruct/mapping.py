@@ -144,7 +144,18 @@ def _map(
     database: Path, folder: Path, options: pycolmap.IncrementalPipelineOptions, report: Callable[[], None]
 ) -> list[pycolmap.Reconstruction]:
     models = pycolmap.incremental_mapping(database, folder, folder, options, next_image_callback=report)
-    return _worth_keeping(list(models.values()))
+    for model in models.values():
+        _drop_impossible_cameras(model)
+    return _worth_keeping([model for model in models.values() if model.num_reg_images() >= options.min_model_size])
+
+
+def _drop_impossible_cameras(model: pycolmap.Reconstruction) -> None:
+    """Adjusted freely, the focal length of a photo that few points hold may pass through zero."""
+    for image_id in sorted(model.reg_image_ids()):
+        image = model.image(image_id)
+        camera = model.camera(image.camera_id)
+        if min(camera.params[index] for index in camera.focal_length_idxs()) <= 0:
+            model.deregister_frame(image.frame_id)
 
 
 def _worth_keeping(models: list[pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:
