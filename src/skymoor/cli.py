@@ -35,18 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             prog="skymoor",
             description="skymoor moors floating 3D models to the Earth.",
         )
-        from skymoor import commands  # pycolmap, torch and OpenCV load here, not for --help
-
-        if isinstance(chosen, Evaluate):
-            commands.evaluate(chosen)
-        elif isinstance(chosen, Simulate):
-            commands.simulate(chosen)
-        elif isinstance(chosen, Weights):
-            commands.weights(chosen)
-        else:
-            done = commands.run(chosen) if isinstance(chosen, Run) else commands.demo(chosen)
-            return EXIT_REGISTERED if done else EXIT_NOT_REGISTERED
-        return EXIT_REGISTERED
+        return _done(chosen)
     except (InputError, BackendUnavailable) as error:  # an engine that is not here was asked for
         _tell(error)
         return EXIT_USAGE
@@ -61,6 +50,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("skymoor: stopped; the same command goes on from here", file=sys.stderr)
         return 130
+
+
+def _done(chosen: Run | Evaluate | Simulate | Demo | Weights) -> int:
+    """The exit status of a command that raised nothing."""
+    from skymoor import commands  # pycolmap, torch and OpenCV load here, not for --help
+
+    if isinstance(chosen, Evaluate):
+        commands.evaluate(chosen)
+    elif isinstance(chosen, Simulate):
+        commands.simulate(chosen)
+    elif isinstance(chosen, Weights):
+        commands.weights(chosen)
+    else:
+        done = commands.run(chosen) if isinstance(chosen, Run) else commands.demo(chosen)
+        return EXIT_REGISTERED if done else EXIT_NOT_REGISTERED
+    return EXIT_REGISTERED
 
 
 def _tell(error: SkymoorError | str) -> None:

@@ -78,20 +78,32 @@ def read_reference(
             _require_finite_work(raster, overlap)
         site = _Site.of(maps, overlap, sources[1], datum)
         grid = site.grid(maps[0], overlap, max_pixels, pixel_m)
-        stretch = _stretch(sources[0], maps[0])
-        rgb, mask = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
-        height = np.full(grid.shape, np.nan, np.float32)
-        tiles = list(_tiles(grid.shape, _tile_px(maps, site.frame, grid)))
-        for done, (rows, columns) in enumerate(tiles):
-            progress(done, len(tiles))
-            lattice = Lattice.of(grid, rows, columns, site.frame)
-            rgb[rows, columns], mask[rows, columns] = _colour_tile(sources[0], maps[0], lattice, stretch)
-            height[rows, columns] = _height_tile(sources[1], maps[1], lattice, site)
-        progress(len(tiles), len(tiles))
+        rgb, mask, height = _resampled(sources, maps, site, grid, progress)
     _require_data(maps, mask, np.isfinite(height))
     sides = maps[1].pixel_sides_m(site.frame)
     dsm_pixel_m = float(np.sqrt(abs(np.linalg.det(sides))))
     return Reference(site.frame, grid, rgb, mask, height, covariance, dsm_pixel_m, maps[0].crs.to_wkt())
+
+
+def _resampled(
+    sources: tuple[DatasetReader, DatasetReader],
+    maps: tuple[MapRaster, MapRaster],
+    site: _Site,
+    grid: Grid,
+    progress: Progress,
+) -> tuple[Image, Mask, Array32]:
+    """Colours, where they are valid, and heights of the whole grid, tile by tile."""
+    stretch = _stretch(sources[0], maps[0])
+    rgb, mask = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
+    height = np.full(grid.shape, np.nan, np.float32)
+    tiles = list(_tiles(grid.shape, _tile_px(maps, site.frame, grid)))
+    for done, (rows, columns) in enumerate(tiles):
+        progress(done, len(tiles))
+        lattice = Lattice.of(grid, rows, columns, site.frame)
+        rgb[rows, columns], mask[rows, columns] = _colour_tile(sources[0], maps[0], lattice, stretch)
+        height[rows, columns] = _height_tile(sources[1], maps[1], lattice, site)
+    progress(len(tiles), len(tiles))
+    return rgb, mask, height
 
 
 def _agreed_datum(dsm: MapRaster, stated: str | None) -> str:
