@@ -14,7 +14,11 @@ from skymoor import __version__
 from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+# What disks and paths are guilty of, wherever it comes up; the rest is an error of ours.
+OF_THE_DISK = (
+    *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO),
+    *(errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP),
+)
 EXIT_REGISTERED, EXIT_ERROR, EXIT_USAGE, EXIT_NOT_REGISTERED = 0, 1, 2, 3
 
 
@@ -43,9 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _tell(error)
         return EXIT_ERROR
     except OSError as error:
-        if error.errno not in NO_ROOM:
+        if error.errno not in OF_THE_DISK:
             raise
-        _tell(f"{error.filename or 'a file'}: cannot be written: {error.strerror}; the same command goes on from here")
+        _tell(f"{error.filename or 'a file'}: {error.strerror}; mend that, and the same command goes on from here")
         return EXIT_USAGE
     except KeyboardInterrupt:
         print("skymoor: stopped; the same command goes on from here", file=sys.stderr)

@@ -112,6 +112,34 @@ def test_a_second_run_in_one_folder_is_told(tmp_path: Path, capsys: pytest.Captu
     assert run(site) == 3
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["simulate", "--out", "x" * 300], "File name too long"),
+        (["simulate", "--out", "file"], "file"),
+        (["simulate", "--out", "file/below"], "Not a directory"),
+        (["demo", "--out", "file"], "file"),
+        (["evaluate", "file", "--truth", "file"], "file/summary.json"),
+        (["evaluate", "x" * 300, "--truth", "file"], "File name too long"),
+        (["run", "file", "--out", "out"], "not valid TOML"),
+        (["run", "--airborne", "x" * 300, "--ortho", "file", "--dsm", "file", "--out", "out"], "no such folder"),
+        (["run", "--ortho", "file", "--dsm", "file", "--out", "out"], "no images to place"),
+        (["run", "--airborne", ".", "--out", "out"], "--ortho"),
+        (["run", "--airborne", ".", "--ortho", "file", "--dsm", "file", "--out", "out"], "--ce90"),
+        (["weights", "fetch", "nothing"], "nothing"),
+    ],
+)
+def test_commands_on_paths_that_are_none(
+    words: list[str], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("?")
+    assert main(words) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and told in lines[0]
+    assert content(tmp_path) == {"file": b"?"}
+
+
 def test_names_that_look_like_markup(tmp_path: Path) -> None:
     site = make_site(tmp_path / "[/bold]")
     (site / "site.toml").write_text('name = "[/x] [red]"\n' + SITE)
