@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from blocks import block
+from skymoor.colmap import write_colmap
 from skymoor.store import Store
 
 KILLED = -signal.SIGKILL
@@ -78,12 +80,19 @@ def work_until(out: Path, count: int) -> None:
     work(out)
 
 
-def work_with_room_for(out: Path, size: int, answer: Any) -> None:
-    """The same on a disk on which no file may grow beyond `size` bytes; `answer` is sent what was raised, or None."""
+def write_model(out: Path) -> None:
+    """A COLMAP model, which COLMAP itself writes."""
+    component = block("oblique", relief_m=3.0)
+    with Store.open(out) as store:
+        store.write_folder("colmap/air_0", lambda folder: write_colmap(component, folder))
+
+
+def with_room_for(job: Callable[[Path], None], out: Path, size: int, answer: Any) -> None:
+    """The job on a disk on which no file may grow beyond `size` bytes; `answer` is sent what was raised, or None."""
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
     try:
-        work(out)
+        job(out)
     except Exception as error:
         answer.send((type(error).__name__, str(error)))
     else:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from interrupted import KILLED, processes, started, status_of, work, work_until, work_with_room_for
+from interrupted import KILLED, processes, started, status_of, with_room_for, work, work_until
 from skymoor.errors import InputError
 from skymoor.store import Store
 from skymoor.store._cache import HEADER_BYTES
@@ -64,7 +64,7 @@ def test_killed_at_any_touch_nothing_half_written_stands_in_its_place(whole: Pat
 def test_a_full_disk_is_told_and_the_next_run_goes_on(size: int, whole: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     ours, theirs = processes().Pipe()
-    process = started(work_with_room_for, out, size, theirs)
+    process = started(with_room_for, work, out, size, theirs)
     kind, message = ours.recv()
     process.join()
     assert kind == "InputError" and "cannot be written: File too large" in message and str(out) in message
