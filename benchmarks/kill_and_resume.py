@@ -23,6 +23,7 @@ from typing import Any
 
 PROGRAM = "import sys; from skymoor.cli import main; sys.exit(main())"
 FINISHED = (0, 3)
+ATTEMPTS = 2  # kills of one stage
 
 
 def main() -> None:
@@ -76,14 +77,22 @@ def finish(command: list[str], out: Path) -> float:
 def kill_in_every_stage(
     command: list[str], out: Path, stages: list[dict[str, Any]], start_s: float, rng: random.Random
 ) -> list[dict[str, Any]]:
-    """Kill at a random moment of the stage that is due, until all have been done; then twice among the products."""
+    """Kill while each stage is the first that is not done, at a random moment of it; then twice among the products."""
     kills: list[dict[str, Any]] = []
-    while due := [stage for stage in stages if not done(out, stage["name"])]:
-        # Every third time it is let live, or a stage that takes longer than its share would never end.
-        patience = start_s + rng.uniform(0, due[0]["seconds"] + 1) * (1 if len(kills) % 3 else 4)
-        kills += killed_after(command, out, stages, patience)
+    for k, stage in enumerate(stages):
+        for later in stages[k:]:  # what a former attempt has got done too much
+            for file in (out / "stages").glob(f"{later['name']}-*.pkl"):
+                file.unlink()
+        for _ in range(ATTEMPTS):
+            # To the stage it takes about as long as to start, without the products at the end.
+            patience = rng.uniform(0.5, 1.0) * start_s + rng.uniform(0, stage["seconds"])
+            kills += killed_after(command, out, stages, patience)
+            if not kills or kills[-1]["during"] != stage["name"]:
+                break
+        while not done(out, stage["name"]):
+            kills += killed_after(command, out, stages, start_s + 3 * stage["seconds"])
     for _ in range(2):
-        kills += killed_after(command, out, stages, rng.uniform(0.4, 1.0) * start_s)
+        kills += killed_after(command, out, stages, rng.uniform(0.6, 1.0) * start_s)
     return kills
 
 
