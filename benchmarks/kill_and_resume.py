@@ -62,7 +62,12 @@ def main() -> None:
 
 
 def start(command: list[str], out: Path) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([*command, "--out", str(out)], stdout=subprocess.DEVNULL, start_new_session=True)
+    temporary = out.parent / "temporary"  # where kills leave COLMAP's files
+    temporary.mkdir(parents=True, exist_ok=True)
+    environment = {**os.environ, "TMPDIR": str(temporary)}
+    return subprocess.Popen(
+        [*command, "--out", str(out)], env=environment, stdout=subprocess.DEVNULL, start_new_session=True
+    )
 
 
 def finish(command: list[str], out: Path) -> float:

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import resource
 import signal
+import tempfile
 from collections.abc import Callable
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
@@ -99,10 +100,11 @@ def with_room_for(job: Callable[[Path], None], out: Path, size: int, answer: Any
         answer.send(None)
 
 
-def run_site(arguments: list[str]) -> None:
-    """`skymoor run`, quietly; the exit status is the command's."""
+def run_site(arguments: list[str], temporary: Path) -> None:
+    """`skymoor run`, quietly, with the command's exit status. Kills leave COLMAP's files in the folder `temporary`."""
     from skymoor.cli import main
 
+    tempfile.tempdir = str(temporary)
     with Path(os.devnull).open("w") as nothing:
         os.dup2(nothing.fileno(), 1)
         os.dup2(nothing.fileno(), 2)

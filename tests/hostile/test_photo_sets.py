@@ -120,8 +120,8 @@ def test_a_run_killed_again_and_again_ends_with_the_same_bytes(
     rng, out, killed = np.random.default_rng(5), tmp_path / "out", 0
     command = arguments(small_site.folder / "airborne.toml", out)
     for patience_s in rng.uniform(1.0, 12.0, 4):
-        killed += status_of(run_site, command, patience_s=float(patience_s)) == KILLED
-    assert status_of(run_site, command) == 0
+        killed += status_of(run_site, command, tmp_path, patience_s=float(patience_s)) == KILLED
+    assert status_of(run_site, command, tmp_path) == 0
     for name in ("cameras.csv", "cameras.geojson", "pointcloud.laz", "dsm.tif", "ortho.tif", "matches/airborne_0.npz"):
         assert (out / name).read_bytes() == (finished / name).read_bytes(), name
     assert not list(out.rglob(".skymoor-*"))
