@@ -5,12 +5,12 @@
         [--results FILE]
 
 RUN is the folder of a finished run whose place is known to be right, SITE.toml what it was run on. From each run's
-nadir render windows of random place, size and shape are cut, and turned, brightened and made noisy at random. Each is placed
-in its own reference with the product's search, decoys, matching, registration and judgement: a true case, and right if
-the window's own points come within two metres (median) of where the whole model's registration puts them. It is then
-placed in places where nothing is right: another site's reference, its own mirrored, and its own with heights of another
-place. Told are the shares that are believed at the product's limits, the same for limits on the probability of chance
-alone (the ROC), and what was believed wrongly.
+nadir render windows of random place, size and shape are cut, and turned, brightened and made noisy at random. Each is
+placed in its own reference with the product's search, decoys, matching, registration and judgement: a true case, and
+right if the window's own points come within two metres (median) of where the whole model's registration puts them. It
+is then placed in places where nothing is right: another site's reference, its own mirrored, and its own with heights
+of another place. Told are the shares that are believed at the product's limits, the same for limits on the probability
+of chance alone (the ROC), and what was believed wrongly.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 # Before anything imports the libraries that read it: no test asks a hub for anything, not even whether it is there.
 os.environ["HF_HUB_OFFLINE"] = "1"
@@ -16,6 +17,7 @@ from pictures import Overhead, overhead
 from sharing import shared
 from skymoor.simulate.plan import dates_of
 from skymoor.simulate.site import Site, write_site
+from small_run import run
 
 
 @pytest.fixture
@@ -70,3 +72,15 @@ def other_day(tmp_path_factory: pytest.TempPathFactory, small_world: SmallWorld)
     """The same on the day of the reference: another season, another sun, other cars."""
     date = dates_of(OPTIONS).satellite
     return shared(tmp_path_factory, "other_day", lambda: overhead(small_world.scene(date)))
+
+
+@pytest.fixture(scope="session")
+def finished(small_site: Site, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of its airborne photos, registered; do not write into it."""
+
+    def make() -> Path:
+        out = tmp_path_factory.mktemp("run") / "out"
+        assert run(small_site.folder / "airborne.toml", out) == 0
+        return out
+
+    return shared(tmp_path_factory, "run", make)

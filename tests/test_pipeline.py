@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,56 +13,21 @@ import rasterio
 from numpy.typing import NDArray
 
 from flight import OPTIONS, STANDOFF_M, SmallWorld
-from sharing import shared
 from skymoor.cli import main
 from skymoor.geo import mahalanobis
 from skymoor.simulate.plan import dates_of
 from skymoor.simulate.satellite import ACCURACY_M, make_reference
 from skymoor.simulate.site import Site
+from small_run import FASTER, rows_of, run, summary_of
 
 pytestmark = pytest.mark.e2e
 
 Array = NDArray[np.float64]
-# Narrower than the defaults, to save time; the flight is 50 to 80 m above ground.
-FASTER = (
-    "--set",
-    "match.min_height_m=42",
-    "--set",
-    "match.max_height_m=100",
-    "--set",
-    "reconstruct.matcher.sift.max_features=2500",
-)
 PLACE = ("lat", "lon", "height", "east", "north", "up", "qw", "ce90", "le90")
-
-
-def run(toml: Path, out: Path, *more: str) -> int:
-    return main(["run", str(toml), "--out", str(out), "--seed", "3", "--quiet", *FASTER, *more])
-
-
-def summary_of(out: Path) -> dict[str, Any]:
-    summary: dict[str, Any] = json.loads((out / "summary.json").read_text())
-    return summary
-
-
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def computed_stages(out: Path) -> set[str]:
     return {stage["name"] for stage in summary_of(out)["stages"] if not stage["cached"]}
-
-
-@pytest.fixture(scope="module")
-def finished(small_site: Site, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A first run, of the airborne photos, registered; do not write into it."""
-
-    def make() -> Path:
-        out = tmp_path_factory.mktemp("run") / "out"
-        assert run(small_site.folder / "airborne.toml", out) == 0
-        return out
-
-    return shared(tmp_path_factory, "run", make)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -13,6 +14,11 @@ from skymoor import __version__
 from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 
+# What disks and paths are guilty of, wherever it comes up; the rest is an error of ours.
+OF_THE_DISK = (
+    *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO),
+    *(errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP),
+)
 EXIT_REGISTERED, EXIT_ERROR, EXIT_USAGE, EXIT_NOT_REGISTERED = 0, 1, 2, 3
 
 
@@ -33,24 +39,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
             prog="skymoor",
             description="skymoor moors floating 3D models to the Earth.",
         )
-        from skymoor import commands  # pycolmap, torch and OpenCV load here, not for --help
-
-        if isinstance(chosen, Evaluate):
-            commands.evaluate(chosen)
-        elif isinstance(chosen, Simulate):
-            commands.simulate(chosen)
-        elif isinstance(chosen, Weights):
-            commands.weights(chosen)
-        else:
-            done = commands.run(chosen) if isinstance(chosen, Run) else commands.demo(chosen)
-            return EXIT_REGISTERED if done else EXIT_NOT_REGISTERED
-        return EXIT_REGISTERED
+        return _done(chosen)
     except (InputError, BackendUnavailable) as error:  # an engine that is not here was asked for
-        print(f"skymoor: {error}", file=sys.stderr)
+        _tell(error)
         return EXIT_USAGE
     except SkymoorError as error:
-        print(f"skymoor: {error}", file=sys.stderr)
+        _tell(error)
         return EXIT_ERROR
+    except OSError as error:
+        if error.errno not in OF_THE_DISK:
+            raise
+        _tell(f"{error.filename or 'a file'}: {error.strerror}; mend that, and the same command goes on from here")
+        return EXIT_USAGE
     except KeyboardInterrupt:
         print("skymoor: stopped; the same command goes on from here", file=sys.stderr)
         return 130
+
+
+def _done(chosen: Run | Evaluate | Simulate | Demo | Weights) -> int:
+    """The exit status of a command that raised nothing."""
+    from skymoor import commands  # pycolmap, torch and OpenCV load here, not for --help
+
+    if isinstance(chosen, Evaluate):
+        commands.evaluate(chosen)
+    elif isinstance(chosen, Simulate):
+        commands.simulate(chosen)
+    elif isinstance(chosen, Weights):
+        commands.weights(chosen)
+    else:
+        done = commands.run(chosen) if isinstance(chosen, Run) else commands.demo(chosen)
+        return EXIT_REGISTERED if done else EXIT_NOT_REGISTERED
+    return EXIT_REGISTERED
+
+
+def _tell(error: SkymoorError | str) -> None:
+    """One line that a terminal can show, also where a file's name or a library's message has other characters."""
+    line = "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in str(error)
+    )
+    print(f"skymoor: {line}", file=sys.stderr)

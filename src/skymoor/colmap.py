@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
 import pycolmap
@@ -97,6 +99,22 @@ def colmap_from_component(component: Component) -> pycolmap.Reconstruction:
         reconstruction.add_point3D(xyz, track, rgb)
     reconstruction.update_point_3d_errors()
     return reconstruction
+
+
+def write_colmap(component: Component, folder: Path) -> None:
+    """Write a component as a COLMAP model into a folder.
+
+    Raises `OSError` when what stands there is not what was written: COLMAP does not notice a full disk.
+    """
+    model = colmap_from_component(component)
+    model.write(str(folder))
+    try:
+        found = pycolmap.Reconstruction(str(folder))
+    except Exception:  # of a file that is cut off, anything
+        found = pycolmap.Reconstruction()
+    counts = [(one.num_images(), one.num_points3D(), one.compute_num_observations()) for one in (model, found)]
+    if counts[0] != counts[1]:
+        raise OSError(errno.ENOSPC, "COLMAP could not write all of it, is the disk full?", str(folder))
 
 
 def _colmap_camera(intrinsics: Intrinsics, camera_id: int) -> pycolmap.Camera:

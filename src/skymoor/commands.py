@@ -6,10 +6,11 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
+from rich.text import Text
 
 import skymoor.evaluate
 from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights, WeightsFetch
@@ -26,8 +27,12 @@ from skymoor.settings import Options, check_engines
 from skymoor.simulate import SiteOptions
 from skymoor.simulate.site import write_site
 from skymoor.simulate.world import World
-from skymoor.store import Store, has_metadata, read_cameras_csv, read_truth_csv
+from skymoor.store import PRODUCTS, Store, has_metadata, name_prefix, read_cameras_csv, read_truth_csv
 from skymoor.weights import KNOWN, fetch, weights_folder
+
+Array = NDArray[np.float64]
+
+LARGEST_SEED = 2**31 - 1  # COLMAP's
 
 # Small enough for a few minutes on two cores, large enough for every step to have its work.
 DEMO = SiteOptions(
@@ -51,13 +56,16 @@ def run(command: Run) -> bool:
             f"{command.site}: it names no [airborne] images; ground photos are placed on the airborne model"
         )
     check_engines(options, ground=bool(site.ground))
+    _require_run(command, site)
     with Screen(plain=command.quiet) as screen, Store.open(command.out, note=screen.note) as store:
         photos = store.photos("photos", site.airborne, site.root, screen.track("photos"))
         _tell_metadata(site.airborne, screen)
         files = site.reference
         reference = store.stage(
             "reference",
-            lambda: read_reference(files.ortho, files.dsm, files.vertical_datum, files.covariance),
+            lambda: read_reference(
+                files.ortho, files.dsm, files.vertical_datum, files.covariance, progress=screen.track("reference")
+            ),
             options=[
                 *((path, path.stat().st_size, path.stat().st_mtime_ns) for path in (files.ortho, files.dsm)),
                 files.vertical_datum,
@@ -78,16 +86,7 @@ def run(command: Run) -> bool:
 
 def evaluate(command: Evaluate) -> None:
     """`skymoor evaluate`."""
-    summary = _read_summary(command.run / "summary.json")
-    origin = summary["enu_origin"]
-    frame = EnuFrame(origin["lat"], origin["lon"], origin["height"])
-    centres = {
-        (item["set"], component["component"]): np.array(component["scene_centre_enu"])
-        for item in summary["sets"]
-        for component in item["components"]
-        if "scene_centre_enu" in component
-    }
-    covariance = np.array(summary["reference"]["covariance_m2"])
+    frame, covariance, centres = _read_summary(command.run / "summary.json")
     estimates = read_cameras_csv(command.run / "cameras.csv")
     truths = read_truth_csv(command.truth)
     rows = skymoor.evaluate.evaluate(estimates, truths, frame, covariance, centres)
@@ -134,7 +133,7 @@ def weights(command: Weights) -> None:
 
 def _weights_table(folder: Path) -> Table:
     """One line for each engine's weights."""
-    table = Table(title=f"pretrained weights; they lie in {folder}")
+    table = Table(title=Text(f"pretrained weights; they lie in {folder}"))
     table.add_column("name", no_wrap=True)
     for heading in ("for", "MB", "here", "licence: code", "weights", "sha256", "note"):
         table.add_column(heading, overflow="fold")
@@ -186,8 +185,38 @@ def _ground_job(name: str, folder: Path, site: Site, job: Job) -> Job:
     return replace(job, photos=photos, name=name, photos_stage=stage)
 
 
-def _read_summary(path: Path) -> dict[str, Any]:
+def _require_run(command: Run, site: Site) -> None:
+    """What would go wrong later, or would harm the user's own files."""
+    if not 0 <= command.seed <= LARGEST_SEED:
+        raise InputError(f"--seed {command.seed}: give a whole number from 0 to {LARGEST_SEED}")
+    folders = [folder for folder in (site.airborne, *site.ground) if folder is not None]
+    out = command.out.resolve()
+    for path in (site.reference.ortho, site.reference.dsm, *folders):
+        inside = path.resolve()
+        if inside == out or (inside.is_relative_to(out) and inside.relative_to(out).parts[0] in PRODUCTS):
+            raise InputError(f"{path}: lies where the results would be written; give another folder with --out")
+    for k, folder in enumerate(folders):
+        # Their photos would have the same names, and nobody could tell whose camera is whose.
+        twin = next(
+            (other for other in folders[:k] if name_prefix(other, site.root) == name_prefix(folder, site.root)), None
+        )
+        if twin is not None:
+            raise InputError(f"{folder}: is named twice, or as {twin} is; name each folder of photos once, differently")
+
+
+def _read_summary(path: Path) -> tuple[EnuFrame, Array, dict[tuple[str, int], Array]]:
+    """Frame, the reference's covariance (3, 3), and where each registered component's scene is (3,)."""
     try:
-        return json.loads(path.read_text())  # type: ignore[no-any-return]
-    except (OSError, json.JSONDecodeError) as error:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        origin = summary["enu_origin"]
+        frame = EnuFrame(float(origin["lat"]), float(origin["lon"]), float(origin["height"]))
+        centres = {
+            (item["set"], component["component"]): np.array(component["scene_centre_enu"], dtype=np.float64)
+            for item in summary["sets"]
+            for component in item["components"]
+            if "scene_centre_enu" in component
+        }
+        covariance = np.array(summary["reference"]["covariance_m2"], dtype=np.float64)
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise InputError(f"{path}: no summary of a finished run ({error}); run skymoor run first") from error
+    return frame, covariance, centres

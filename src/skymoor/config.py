@@ -106,10 +106,10 @@ def site_from_arguments(
     if not folders:
         raise InputError("there are no images to place; give --airborne FOLDER")
     for path, flag in ((ortho, "--ortho"), (dsm, "--dsm")):
-        if not path.is_file():
+        if not _is_there(path):
             raise InputError(f"{flag} {path}: there is no such file")
     for folder in folders:
-        if not folder.is_dir():
+        if not _is_there(folder, folder=True):
             raise InputError(f"{folder}: there is no such folder of images")
     root = Path(os.path.commonpath([folder.resolve().parent for folder in folders]))
     covariance = _from_ce90_le90(ce90, le90, "command line")
@@ -117,16 +117,19 @@ def site_from_arguments(
 
 
 def _read_toml(path: Path) -> dict[str, object]:
-    if path.is_dir():
+    if _is_there(path, folder=True):
         raise InputError(f"{path}: is a folder; give the site.toml in it")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        # utf-8-sig: editors of Windows put a byte order mark in front.
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is not valid TOML: {error}") from error
+    except RecursionError:
+        raise InputError(f"{path}: is not valid TOML: brackets within brackets without end") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:  # of the decoder, of the letters, and of numbers with thousands of digits
+        raise InputError(f"{path}: is not valid TOML: {error}") from error
 
 
 def _table(value: object, where: str, key: str) -> dict[str, object]:
@@ -153,14 +156,25 @@ def _text(value: object, where: str, key: str) -> str:
 def _number(value: object, where: str, key: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise InputError(f"{where}: {key} = {value!r} must be a number of metres")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise InputError(f"{where}: {key} is too large for a number of metres") from None
+
+
+def _is_there(path: Path, *, folder: bool = False) -> bool:
+    """Whether there is such a file, or folder; False also for names that no file can have."""
+    try:
+        return path.is_dir() if folder else path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def _existing(root: Path, table: Mapping[str, object], key: str, where: str, group: str) -> Path:
     if key not in table:
         raise InputError(f"{where}: {key} is missing in [{group}]")
     path = root / _text(table[key], where, f"{group}.{key}")
-    if not path.is_file():
+    if not _is_there(path):
         raise InputError(f"{where}: {group}.{key}: there is no file {path}")
     return path
 
@@ -171,7 +185,7 @@ def _images(root: Path, entry: object, where: str, group: str) -> Path:
     if "images" not in table:
         raise InputError(f"{where}: images is missing in [{group}]; name the folder of the images")
     folder = root / _text(table["images"], where, f"{group}.images")
-    if not folder.is_dir():
+    if not _is_there(folder, folder=True):
         raise InputError(f"{where}: {group}.images: there is no folder {folder}")
     return folder
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -51,7 +52,7 @@ def parse_option(text: str) -> tuple[str, object]:
         raise InputError(f"--set {text}: write it as NAME=VALUE, for example --set match.cycle_px=3")
     try:
         table = tomllib.loads(f"value = {raw}")
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return name, raw
     value = table["value"]
     # Dates and inline tables are TOML as well, but no option wants them: the text is meant.
@@ -118,8 +119,11 @@ def _checked(value: object, annotation: Any, where: str) -> object:
         return value
     if annotation is tuple or origin is tuple:
         return _checked_tuple(value, arguments, where)
-    if annotation is float and type(value) in (int, float) and not math.isnan(value):  # type: ignore[arg-type]
-        return float(value)  # type: ignore[arg-type]
+    if annotation is float and type(value) in (int, float):
+        with suppress(OverflowError):  # a whole number with hundreds of digits
+            number = float(value)  # type: ignore[arg-type]
+            if not math.isnan(number):
+                return number
     if annotation is Path and isinstance(value, (str, Path)):
         return Path(value)
     # type() and not isinstance(): True is an int for Python, but not for a person who counts.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from skymoor import __version__
-from skymoor.colmap import colmap_from_component
+from skymoor.colmap import write_colmap
 from skymoor.config import Site
 from skymoor.errors import DegenerateGeometry
 from skymoor.export import (
@@ -77,7 +77,9 @@ def write_products(
 ) -> dict[str, Any]:
     """Write all products of a run; returns the summary."""
     rows = [row for found in sets for row in camera_rows(found, reference)]
-    store.remove("evaluation.json")  # of the cameras of a former run
+    # Of the cameras of a former run; the summary comes back last, so that none describes products of another run.
+    for name in ("evaluation.json", "summary.json"):
+        store.remove(name)
     store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
     store.write_json("cameras.geojson", cameras_geojson(rows))
     for found in sets:
@@ -211,8 +213,7 @@ def _write_component(name: str, item: Placed, reference: Reference, options: Mat
     found = item.registration
     if found.registered and found.enu_from_level is not None:
         enu = item.component.moved(found.enu_from_level)
-        model = colmap_from_component(enu)
-        store.write_folder(f"colmap/{name}", lambda folder: model.write(str(folder)))
+        store.write_folder(f"colmap/{name}", lambda folder: write_colmap(enu, folder))
         transform = found.enu_from_level @ item.level_from_sfm
         store.write_json(f"colmap/{name}/georeference.json", georeference(reference.frame, transform))
     else:

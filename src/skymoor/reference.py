@@ -23,23 +23,23 @@ from skymoor.geo.raster import (
     MapRaster,
     block_mean,
     clipped_to_raster,
+    has_palette,
     opened,
     read_colours,
     read_heights,
     window_around,
 )
-from skymoor.types import Image, Mask, Reference
+from skymoor.geo.resample import SAMPLES, Cut, Lattice
+from skymoor.types import Image, Mask, Progress, Reference, no_progress
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-# Between nodes this far apart, map projections, the geoid and the curvature of the Earth are straight lines to well
-# below a millimetre.
-LATTICE_PX = 16
-LATTICE_M = 80.0
 TILE_PX = 1024
-# Pixels of a source that one tile may read.
-WINDOW_PX = 4096
+# Side of what one tile may read of a source, in pixels: memory is bounded by it, however large the source.
+WINDOW_PX = 2048
+# Of one source; they take ten minutes to read.
+LARGEST_OVERLAP_PX = 4e9
 # Heights on Earth, with a margin for geoid and towers; beyond are feet, centimetres or a nodata value not declared.
 HEIGHT_RANGE_M = (-1000.0, 10000.0)
 MIN_SIDE_PX = 8
@@ -55,33 +55,55 @@ def read_reference(
     *,
     max_pixels: float = 40e6,
     pixel_m: float | None = None,
+    progress: Progress = no_progress,
 ) -> Reference:
     """Read an orthophoto and a DSM, in whatever CRS each, onto one grid in the local frame at their overlap's centre.
 
     `vertical_datum` says what the DSM's heights refer to ("ellipsoid" or a vertical CRS such as "EPSG:3855"); None
     takes it from the DSM's CRS. `covariance` (3, 3) is the reference's accuracy in m^2, east-north-up. The grid's
-    pixel is the orthophoto's, or `pixel_m` if that is coarser, and coarser still to stay below `max_pixels`.
+    pixel is the orthophoto's, or `pixel_m` if that is coarser, and coarser still to stay below `max_pixels`. Sources
+    are read tile by tile, so that memory depends on `max_pixels` and not on their size (docs/limits.md).
     Raises `InputError`, one line that names the file and the mend, for all that is wrong with the input.
     """
     covariance = checked_covariance(covariance)
+    if Path(ortho).exists() and Path(dsm).exists() and Path(ortho).samefile(dsm):
+        raise InputError(f"{dsm}: is named as the orthophoto and as its DSM; name two files")
     maps = MapRaster.of(Path(ortho)), MapRaster.of(Path(dsm))
     datum = _agreed_datum(maps[1], vertical_datum)
     overlap = _overlap(*maps)
     with ExitStack() as stack:
         sources = stack.enter_context(opened(maps[0].path)), stack.enter_context(opened(maps[1].path))
+        _require_heights(sources[1], maps[1].path)
+        for raster in maps:
+            _require_finite_work(raster, overlap)
         site = _Site.of(maps, overlap, sources[1], datum)
         grid = site.grid(maps[0], overlap, max_pixels, pixel_m)
-        stretch = _stretch(sources[0], maps[0])
-        rgb, mask = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
-        height = np.full(grid.shape, np.nan, np.float32)
-        for rows, columns in _tiles(grid.shape, _tile_px(maps, site.frame, grid)):
-            lattice = _Lattice.of(grid, rows, columns, site.frame)
-            rgb[rows, columns], mask[rows, columns] = _colour_tile(sources[0], maps[0], lattice, stretch)
-            height[rows, columns] = _height_tile(sources[1], maps[1], lattice, site)
+        rgb, mask, height = _resampled(sources, maps, site, grid, progress)
     _require_data(maps, mask, np.isfinite(height))
     sides = maps[1].pixel_sides_m(site.frame)
     dsm_pixel_m = float(np.sqrt(abs(np.linalg.det(sides))))
     return Reference(site.frame, grid, rgb, mask, height, covariance, dsm_pixel_m, maps[0].crs.to_wkt())
+
+
+def _resampled(
+    sources: tuple[DatasetReader, DatasetReader],
+    maps: tuple[MapRaster, MapRaster],
+    site: _Site,
+    grid: Grid,
+    progress: Progress,
+) -> tuple[Image, Mask, Array32]:
+    """Colours, where they are valid, and heights of the whole grid, tile by tile."""
+    stretch = _stretch(sources[0], maps[0])
+    rgb, mask = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
+    height = np.full(grid.shape, np.nan, np.float32)
+    tiles = list(_tiles(grid.shape, _tile_px(maps, site.frame, grid)))
+    for done, (rows, columns) in enumerate(tiles):
+        progress(done, len(tiles))
+        lattice = Lattice.of(grid, rows, columns, site.frame)
+        rgb[rows, columns], mask[rows, columns] = _colour_tile(sources[0], maps[0], lattice, stretch)
+        height[rows, columns] = _height_tile(sources[1], maps[1], lattice, site)
+    progress(len(tiles), len(tiles))
+    return rgb, mask, height
 
 
 def _agreed_datum(dsm: MapRaster, stated: str | None) -> str:
@@ -162,73 +184,13 @@ class _Site:
         return Grid(float(west), float(north), pixel, (int(shape[0]), int(shape[1])))
 
 
-@dataclass(frozen=True, eq=False)
-class _Lattice:
-    """Sparse nodes over a tile of the grid, and the linear interpolation from them to its pixel centres."""
-
-    lla: Array  # (m * n, 3), of the nodes at up = 0
-    nodes: tuple[Array, Array]  # node rows and columns in pixels
-    centres: tuple[Array, Array]  # pixel centres in pixels
-
-    @classmethod
-    def of(cls, grid: Grid, rows: slice, columns: slice, frame: EnuFrame) -> _Lattice:
-        centres = tuple(np.arange(side.start, side.stop) + 0.5 for side in (rows, columns))
-        spacing = int(np.clip(LATTICE_M / grid.pixel_m, 1, LATTICE_PX))
-        nodes = tuple(np.linspace(c[0], c[-1], 2 + len(c) // spacing) for c in centres)
-        v, u = np.meshgrid(*nodes, indexing="ij")
-        plan = grid.enu_from_px(np.column_stack([u.ravel(), v.ravel()]))
-        lla = frame.lla_from_enu(np.column_stack([plan, np.zeros(len(plan))]))
-        return cls(lla, (nodes[0], nodes[1]), (centres[0], centres[1]))
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the tile."""
-        return len(self.centres[0]), len(self.centres[1])
-
-    def spread(self, values: Array) -> Array:
-        """Values (rows, columns) at the pixel centres of values (m * n,) at the nodes."""
-        table = values.reshape(len(self.nodes[0]), len(self.nodes[1]))
-        for axis in (0, 1):
-            nodes, centres = self.nodes[axis], self.centres[axis]
-            place = (centres - nodes[0]) / max(nodes[1] - nodes[0], 1e-9)
-            low = np.minimum(place.astype(np.intp), len(nodes) - 2)
-            share = np.expand_dims(place - low, 1 - axis)
-            table = np.take(table, low, axis) * (1.0 - share) + np.take(table, low + 1, axis) * share
-        return table
-
-    def px(self, raster: MapRaster) -> tuple[Array, Array]:
-        """Pixel coordinates u and v, each (rows, columns), in a raster."""
-        px = raster.px_from_lonlat(self.lla[:, [1, 0]])
-        return self.spread(px[:, 0]), self.spread(px[:, 1])
-
-
-@dataclass(frozen=True, eq=False)
-class _Cut:
-    """The part of a raster under a tile of the grid, to be averaged over blocks of `step` before sampling."""
-
-    window: Window
-    step: tuple[int, int]  # rows, columns
-    u: Array  # columns and rows in averaged blocks, one per pixel of the tile
-    v: Array
-
-    @classmethod
-    def of(cls, raster: MapRaster, lattice: _Lattice) -> _Cut | None:
-        """None where the raster does not reach."""
-        u, v = lattice.px(raster)
-        step = _rate(v), _rate(u)
-        window = window_around(np.column_stack([u.ravel(), v.ravel()]), raster.shape, step)
-        if window is None:
-            return None
-        return cls(window, step, (u - window.col_off) / step[1], (v - window.row_off) / step[0])
-
-
 def _colour_tile(
-    source: DatasetReader, raster: MapRaster, lattice: _Lattice, stretch: Callable[[Array32], Array32]
+    source: DatasetReader, raster: MapRaster, lattice: Lattice, stretch: Callable[[Array32], Array32]
 ) -> tuple[Image, Mask]:
-    cut = _Cut.of(raster, lattice)
+    cut = Cut.of(raster, lattice)
     if cut is None:
         return np.zeros((*lattice.shape, 3), np.uint8), np.zeros(lattice.shape, bool)
-    colours, valid = read_colours(source, cut.window)
+    colours, valid = read_colours(source, cut.window, cut.thin)
     # Colours count by their validity throughout, so that no black leaks in from where there is no image.
     weighted = np.concatenate([stretch(colours) * valid[..., None], valid[..., None]], axis=-1)
     map_u, map_v = (np.nan_to_num(p - 0.5, nan=-9.0).astype(np.float32) for p in (cut.u, cut.v))
@@ -241,11 +203,11 @@ def _colour_tile(
     return np.clip(np.rint(rgb), 0, 255).astype(np.uint8), mask
 
 
-def _height_tile(source: DatasetReader, raster: MapRaster, lattice: _Lattice, site: _Site) -> Array32:
-    cut = _Cut.of(raster, lattice)
+def _height_tile(source: DatasetReader, raster: MapRaster, lattice: Lattice, site: _Site) -> Array32:
+    cut = Cut.of(raster, lattice)
     if cut is None:
         return np.full(lattice.shape, np.nan, np.float32)
-    heights = read_heights(source, cut.window)
+    heights = read_heights(source, cut.window, cut.thin)
     _require_plausible(raster.path, heights, site.dsm_unit_m)
     # OpenCV rounds its weights to 1/32 pixel, which would show in heights.
     own = sample(block_mean(heights, cut.step), np.column_stack([cut.u.ravel(), cut.v.ravel()]))
@@ -255,18 +217,11 @@ def _height_tile(source: DatasetReader, raster: MapRaster, lattice: _Lattice, si
     return (own.reshape(lattice.shape) * site.dsm_unit_m + up_of_zero).astype(np.float32)
 
 
-def _rate(place: Array) -> int:
-    """Whole source pixels per grid pixel, from the source column (or row) of each pixel of a tile, at least 1."""
-    rows, columns = place.shape
-    across = np.ptp(place[rows // 2]) / max(columns - 1, 1)
-    down = np.ptp(place[:, columns // 2]) / max(rows - 1, 1)
-    rate = float(np.hypot(across, down))
-    return max(1, round(rate)) if np.isfinite(rate) else 1
-
-
 def _tile_px(maps: tuple[MapRaster, MapRaster], frame: EnuFrame, grid: Grid) -> int:
     finest = min(float(np.linalg.norm(raster.pixel_sides_m(frame), axis=1).min()) for raster in maps)
-    return int(np.clip(WINDOW_PX * finest / grid.pixel_m, 32, TILE_PX))
+    # A cut reads every pixel up to twice as many as it needs, and thins beyond.
+    samples = min(grid.pixel_m / finest, 2.0 * SAMPLES)
+    return int(np.clip(WINDOW_PX / samples, 32, TILE_PX))
 
 
 def _tiles(shape: tuple[int, int], side: int) -> Iterator[tuple[slice, slice]]:
@@ -277,7 +232,7 @@ def _tiles(shape: tuple[int, int], side: int) -> Iterator[tuple[slice, slice]]:
 
 def _stretch(source: DatasetReader, raster: MapRaster) -> Callable[[Array32], Array32]:
     """What brings colours to 0..255: nothing for 8 bits, else the middle 98 % of all valid values of all bands."""
-    if all(kind == "uint8" for kind in source.dtypes):
+    if has_palette(source) or all(kind == "uint8" for kind in source.dtypes):
         return lambda colours: colours
     rows, columns = raster.shape
     step = max(1, rows // STATISTICS_PX), max(1, columns // STATISTICS_PX)
@@ -287,6 +242,27 @@ def _stretch(source: DatasetReader, raster: MapRaster) -> Callable[[Array32], Ar
     low, high = (float(value) for value in np.percentile(colours[valid > 0], STRETCH_PERCENT))
     gain = 255.0 / max(high - low, 1e-12)
     return lambda colours: np.clip((colours - low) * gain, 0.0, 255.0).astype(np.float32)
+
+
+def _require_heights(source: DatasetReader, path: Path) -> None:
+    if source.count >= 3 and all(kind == "uint8" for kind in source.dtypes):
+        raise InputError(
+            f"{path}: holds {source.count} bands of 8 bits, a picture and no heights; is it the orthophoto?"
+        )
+    scale, offset = source.scales[0], source.offsets[0]
+    if not (np.isfinite(scale) and np.isfinite(offset)) or scale == 0:
+        raise InputError(
+            f"{path}: its band says scale {scale:g} and offset {offset:g}; correct them (gdal_edit -scale)"
+        )
+
+
+def _require_finite_work(raster: MapRaster, overlap: Array) -> None:
+    window = window_around(raster.px_from_lonlat(overlap), raster.shape, (1, 1))
+    if window is not None and window.width * window.height > LARGEST_OVERLAP_PX:
+        raise InputError(
+            f"{raster.path}: {window.width} by {window.height} of its pixels lie where orthophoto and DSM overlap, at "
+            f"most {LARGEST_OVERLAP_PX:g} are read; cut the site out of it (gdal_translate -projwin)"
+        )
 
 
 def _require_plausible(path: Path, heights: Array, unit_m: float) -> None:

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
+from rich.text import Text
 
 from skymoor.evaluate import EvaluationRow
 from skymoor.types import Progress
@@ -86,7 +87,7 @@ class _Lines:
 
 def summary_table(summary: dict[str, Any]) -> Table:
     """One line per component."""
-    table = Table(title=f"{summary['site']}")
+    table = Table(title=Text(summary["site"]))  # Text, because square brackets in a name are no markup
     for heading in ("set", "component", "status", "cameras", "matches", "inliers", "CE90 m", "LE90 m", "remark"):
         table.add_column(heading)
     for item in summary["sets"]:
@@ -100,7 +101,7 @@ def summary_table(summary: dict[str, Any]) -> Table:
                 f"{component['inlier_ratio']:.0%}",
                 _number(component.get("predicted_ce90_m")),
                 _number(component.get("predicted_le90_m")),
-                component["reason"] or component["calibration_note"],
+                Text(component["reason"] or component["calibration_note"]),
             )
         if not item["components"]:
             table.add_row(item["set"], "-", item["status"], "0", "-", "-", "-", "-", item["reason"])

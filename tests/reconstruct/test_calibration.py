@@ -77,6 +77,19 @@ def test_reprojection_error_is_the_noise() -> None:
     assert 0.75 * 0.4 * np.sqrt(2) < adjusted < 0.4 * np.sqrt(2)
 
 
+def test_large_adjustments_repeat_to_the_last_digit() -> None:
+    """COLMAP lets threads race above 50 000 residuals."""
+    component = block("oblique", relief_m=3.0, n=3000)
+    assert 2 * len(component.obs_px) > 50_000
+    results = []
+    for _ in range(4):
+        reconstruction = colmap_from_component(component)
+        scale_focal(reconstruction, 1.02)
+        adjust(reconstruction)
+        results.append(np.array([reconstruction.point3D(k).xyz for k in sorted(reconstruction.point3D_ids())]))
+    assert all((result == results[0]).all() for result in results)
+
+
 def test_thinning_keeps_the_longest_tracks() -> None:
     reconstruction = colmap_from_component(block("oblique", relief_m=3.0))
     lengths = sorted((p.track.length() for p in reconstruction.points3D.values()), reverse=True)

@@ -68,7 +68,7 @@ def checked_covariance(covariance: ArrayLike, *, name: str = "covariance") -> Ar
     """
     try:
         matrix = np.asarray(covariance, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} must be 3 rows of 3 numbers in m^2, east-north-up") from None
     if matrix.shape != (3, 3):
         raise InputError(f"{name} must be 3 rows of 3 numbers in m^2, east-north-up, not of shape {matrix.shape}")

@@ -29,6 +29,10 @@ from skymoor.geo.frame import EnuFrame
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
+GDAL_CACHE_MB = 256
+# Bytes that a raster may make GDAL hold at once: it decodes whole strips or tiles.
+LARGEST_BLOCK_BYTES = 512e6
+
 
 @dataclass(frozen=True, eq=False)
 class MapRaster:
@@ -49,6 +53,7 @@ class MapRaster:
         with opened(path) as source:
             wkt = source.crs.to_wkt() if source.crs else ""
             transform, shape, points = source.transform, (source.height, source.width), source.gcps[0]
+            _require_readable(source, path)
         if transform.is_identity or transform.is_degenerate:
             hint = "warp it with gdalwarp" if points else "export it again as a GeoTIFF with its position"
             raise InputError(f"{path}: the raster has no geotransform, so nothing says where it lies; {hint}")
@@ -65,6 +70,10 @@ class MapRaster:
                 f"{path}: no transformation is known from its coordinate reference system to WGS 84 "
                 f"({str(error).rstrip('.')}); assign the right one with gdal_edit -a_srs"
             ) from None
+        if not (raster.crs.is_projected or raster.crs.is_geographic):
+            raise InputError(
+                f"{path}: its coordinate reference system ({crs.name}) is not that of a map; warp it to one"
+            )
         if not (np.isfinite(lon) and abs(lat) <= 90):
             raise InputError(f"{path}: its geotransform lies outside its coordinate reference system; check both")
         return raster
@@ -120,10 +129,22 @@ def opened(path: Path) -> Iterator[DatasetReader]:
         # A raster without a position is refused by name, not warned of.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         # Older GeoTIFFs hide their vertical CRS unless asked.
-        with rasterio.Env(GTIFF_REPORT_COMPD_CS=True):
+        with rasterio.Env(GTIFF_REPORT_COMPD_CS=True, GDAL_CACHEMAX=GDAL_CACHE_MB):
             source = rasterio.open(path)
     with source:
         yield source
+
+
+def _require_readable(source: DatasetReader, path: Path) -> None:
+    if any(kind.startswith("complex") for kind in source.dtypes):
+        raise InputError(f"{path}: its pixels are complex numbers, neither colours nor heights; check the file")
+    for (rows, columns), kind in zip(source.block_shapes, source.dtypes, strict=True):
+        held = rows * columns * np.dtype(kind).itemsize
+        if held > LARGEST_BLOCK_BYTES:
+            raise InputError(
+                f"{path}: stores {columns} by {rows} pixels in one piece of {held / 1e6:.0f} MB; write it again in "
+                "tiles (gdal_translate -co TILED=YES)"
+            )
 
 
 @contextmanager
@@ -167,8 +188,8 @@ def read_colours(source: DatasetReader, window: Window, step: tuple[int, int] = 
     with _named_errors(source.name):
         planes = source.read(sorted(set(bands)), window=window, out_shape=(len(set(bands)), *out_shape))
         valid = source.dataset_mask(window=window, out_shape=out_shape) > 0
-    if labels[0] == ColorInterp.palette and source.count <= 2:
-        table = np.zeros((256, 3))
+    if has_palette(source):
+        table = np.zeros((np.iinfo(planes.dtype).max + 1, 3))
         for index, colour in source.colormap(1).items():
             table[index] = colour[:3]
         colours = table[planes[0]].astype(np.float32)
@@ -177,6 +198,11 @@ def read_colours(source: DatasetReader, window: Window, step: tuple[int, int] = 
     valid &= np.isfinite(colours).all(axis=-1)
     colours[~valid] = 0.0
     return colours, valid.astype(np.float32)
+
+
+def has_palette(source: DatasetReader) -> bool:
+    """Whether pixels are numbers of colours, each 0 to 255."""
+    return bool(source.colorinterp[0] == ColorInterp.palette and source.count <= 2)
 
 
 def window_around(px: Array, shape: tuple[int, int], step: tuple[int, int]) -> Window | None:

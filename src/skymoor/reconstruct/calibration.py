@@ -47,6 +47,8 @@ def adjust(
         refine_extra_params=extra,
         print_summary=False,
     )
+    # Threads add up in the order in which they finish: the same photos would give other last digits each time.
+    options.ceres.solver_options.num_threads = 1
     options.ceres.solver_options.max_num_iterations = max_iterations
     options.ceres.solver_options.function_tolerance = 1e-6
     if robust:
@@ -124,6 +126,7 @@ def focal_sigma(reconstruction: pycolmap.Reconstruction) -> float:
 def focal_sigmas(reconstruction: pycolmap.Reconstruction) -> dict[int, float]:
     """The same for each camera, by its id; without those of which the adjustment cannot say it."""
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    options.ceres.solver_options.num_threads = 1
     adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, _all_images(reconstruction), reconstruction)
     wanted = pycolmap.BACovarianceOptions(params=pycolmap.BACovarianceOptionsParams.ALL)
     covariance = pycolmap.estimate_ba_covariance(wanted, reconstruction, adjuster)

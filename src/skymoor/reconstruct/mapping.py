@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from shutil import disk_usage
 from tempfile import TemporaryDirectory
 
 import numpy as np
@@ -13,6 +15,7 @@ import pycolmap
 
 from skymoor.choice import files_of
 from skymoor.colmap import component_from_colmap, mean_colours
+from skymoor.errors import InputError
 from skymoor.reconstruct._sift import SiftMatcher
 from skymoor.reconstruct.calibration import adjust, calibrate
 from skymoor.reconstruct.doppelgangers import ConflictFilter
@@ -73,13 +76,13 @@ def reconstruct(
 ) -> list[Component]:
     """Structure from motion: all components, largest first, each in a frame of its own.
 
-    Returns an empty list where no pair of photos has enough in common.
+    Returns an empty list where no pair of photos has enough in common. Raises `InputError` when there is no room for
+    temporary files.
     """
     options = options or ReconstructOptions()
     names = {colmap_name(i, photos.sizes[i]): photos.names[i] for i in range(len(photos))}
     pycolmap.set_random_seed(seed)
-    with TemporaryDirectory(prefix="skymoor-") as temporary:
-        folder = Path(temporary)
+    with _temporary_folder() as folder:
         database = folder / "database.db"
         n = len(photos)
         options.matcher(photos, database, folder, seed=seed, progress=lambda done, of, _="": progress(3 * done, 4 * of))
@@ -94,6 +97,22 @@ def reconstruct(
     components = [_finish(model, names, photos, options) for model in models]
     progress(4 * n, 4 * n)
     return components
+
+
+@contextmanager
+def _temporary_folder() -> Iterator[Path]:
+    """For COLMAP's files: grey copies of all photos, and the database."""
+    mend = "make room there for temporary files, or set TMPDIR to another folder"
+    try:
+        with TemporaryDirectory(prefix="skymoor-") as name:
+            try:
+                yield Path(name)
+            except RuntimeError as error:  # COLMAP has no error of its own for a full disk, and not always SQLite's
+                if "disk is full" in str(error) or disk_usage(name).free < 1 << 20:
+                    raise InputError(f"{Path(name).parent}: no space left on device; {mend}") from error
+                raise
+    except OSError as error:
+        raise InputError(f"{error.filename or 'temporary files'}: {error.strerror or error}; {mend}") from error
 
 
 def _improved(

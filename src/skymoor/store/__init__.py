@@ -2,17 +2,19 @@
 """The disk: the run directory with its cache and products, folders of photos, tables. No other module knows files."""
 
 from skymoor.store._digest import code_fingerprint, digest
-from skymoor.store._photos import check_photos, has_metadata, open_photos, photos_fingerprint
-from skymoor.store._run import StageRecord, Store
+from skymoor.store._photos import check_photos, has_metadata, name_prefix, open_photos, photos_fingerprint
+from skymoor.store._run import PRODUCTS, StageRecord, Store
 from skymoor.store._tables import read_cameras_csv, read_truth_csv
 
 __all__ = [
+    "PRODUCTS",
     "StageRecord",
     "Store",
     "check_photos",
     "code_fingerprint",
     "digest",
     "has_metadata",
+    "name_prefix",
     "open_photos",
     "photos_fingerprint",
     "read_cameras_csv",

@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -35,7 +35,8 @@ def atomic_file(target: Path) -> Iterator[IO[bytes]]:
             temporary.replace(target)
             _sync_folder(target.parent)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # what went wrong before is what the user must hear of
+            temporary.unlink(missing_ok=True)
 
 
 def atomic_folder(target: Path, fill: Callable[[Path], object]) -> None:
@@ -45,8 +46,9 @@ def atomic_folder(target: Path, fill: Callable[[Path], object]) -> None:
         temporary = Path(tempfile.mkdtemp(prefix=PREFIX, suffix=SUFFIX, dir=target.parent))
     fresh, old = temporary / "new", temporary / "old"
     try:
-        fresh.mkdir()
-        fill(fresh)
+        with disk_errors(target):
+            fresh.mkdir()
+            fill(fresh)
         with disk_errors(target):
             if target.exists():
                 target.rename(old)
@@ -63,7 +65,8 @@ def remove_leftovers(root: Path) -> None:
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
             else:
-                path.unlink(missing_ok=True)
+                with suppress(OSError):
+                    path.unlink(missing_ok=True)
 
 
 @contextmanager

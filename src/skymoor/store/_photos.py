@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +19,15 @@ from skymoor.errors import InputError
 from skymoor.types import Photos, Progress, no_progress
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
+# By content, whatever the name ends with; the other decoders of Pillow read things that no camera writes, and one
+# starts a program to do so. JPEG takes its relative MPO along.
+FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP")
 FEWEST_PHOTOS = 3
+# Two are decoded at a time, at 4 bytes per pixel in Pillow's hands and 10 while one is handed on: docs/limits.md.
+LARGEST_MPX = 170
+SMALLEST_SIDE_PX = 32
+# Feature extraction scales photos down; a thinner strip would have no pixel left across.
+LONGEST_RATIO = 20
 DEEP_MODES = ("I", "I;16", "I;16L", "I;16B", "I;16N")
 TIFF_XMP_TAG = 700
 
@@ -28,10 +37,11 @@ def open_photos(folder: Path, root: Path, progress: Progress = no_progress) -> P
 
     Names are relative to `root` with forward slashes; for a folder outside of `root` they are FOLDER/FILE. Photos
     are read as they are stored: the EXIF orientation is ignored on purpose, since what counts is the sensor's raster.
-    Grey and 16-bit images become 8-bit RGB, the latter by dropping the lower byte.
+    Grey and 16-bit images become 8-bit RGB, the latter by dropping the lower byte. Of several pictures in one file
+    the first counts.
 
     Raises `InputError` for a missing or empty folder, for fewer than 3 photos, and for one that cannot be decoded to
-    its end.
+    its end, is too large, too small or too long, or has a name that is not text.
     """
     return photos_from_sizes(folder, root, check_photos(folder, progress))
 
@@ -52,12 +62,19 @@ def check_photos(folder: Path, progress: Progress = no_progress) -> tuple[tuple[
 
 
 def photos_from_sizes(folder: Path, root: Path, sizes: Sequence[tuple[int, int]]) -> Photos:
-    """Photos of a folder that `check_photos` has passed."""
+    """Photos of a folder that `check_photos` has passed. Raises `InputError` if there are more or fewer by now."""
     files = _photo_files(folder)
-    inside = folder.resolve()
-    prefix = inside.relative_to(root.resolve()) if inside.is_relative_to(root.resolve()) else Path(inside.name)
+    if len(files) != len(sizes):
+        raise InputError(f"{folder}: photos came or went while they were read; start again when all are there")
+    prefix = name_prefix(folder, root)
     names = tuple((prefix / file.name).as_posix() for file in files)
     return Photos(names, tuple(sizes), _Reader(tuple(zip(names, files, strict=True))))
+
+
+def name_prefix(folder: Path, root: Path) -> Path:
+    """What the names of a folder's photos begin with, see `open_photos`."""
+    inside, root = folder.resolve(), root.resolve()
+    return inside.relative_to(root) if inside.is_relative_to(root) else Path(inside.name)
 
 
 def photos_fingerprint(folder: Path) -> tuple[tuple[str, int, int], ...]:
@@ -83,11 +100,12 @@ class _Reader:
 def _photo_files(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder of images")
-    files = sorted(
-        file
-        for file in folder.iterdir()
-        if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file()
-    )
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read: {error.strerror or error}") from error
+    named = [entry for entry in entries if entry.suffix.lower() in SUFFIXES and not entry.name.startswith(".")]
+    files = [entry for entry in named if _is_photo_file(entry)]
     if not files:
         kinds = ", ".join(suffix[1:] for suffix in SUFFIXES)
         raise InputError(f"{folder}: has no images ({kinds}); sub-folders are not searched")
@@ -96,23 +114,71 @@ def _photo_files(folder: Path) -> list[Path]:
     return files
 
 
+def _is_photo_file(entry: Path) -> bool:
+    """Folders and devices are passed over; what was meant to be a photo and cannot be used is told."""
+    if entry.is_symlink() and not entry.exists():
+        raise InputError(f"{entry}: is a link to nothing; remove it, or put the photo where it points")
+    if not entry.is_file():
+        return False
+    # Tables and COLMAP models hold names as text in UTF-8, on one line.
+    if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in entry.name):
+        raise InputError(f"{str(entry)!r}: its name is not readable text; rename it")
+    return True
+
+
 def _checked_size(file: Path) -> tuple[int, int]:
-    height, width = _decoded(file).shape[:2]
+    with _opened(file) as image:
+        width, height = image.size
     return width, height
 
 
 def _decoded(file: Path) -> NDArray[np.uint8]:
-    """(h, w, 3) RGB. Pillow, unlike OpenCV, reports a file that ends too early."""
+    """(h, w, 3) RGB."""
+    with _opened(file) as image:
+        return _rgb(image)
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[Image.Image]:
+    """A photo, decoded to its end. Pillow, unlike OpenCV, reports a file that ends too early."""
     try:
-        with _quiet_pillow(), Image.open(file) as image:
+        with _quiet_pillow(), Image.open(file, formats=FORMATS) as image:
+            _require_photo(image, file)
             image.load()
-            return _rgb(image, file)
-    except Image.DecompressionBombError as error:
-        raise InputError(f"{file}: is too large, scale it down: {error}") from error
+            yield image
+    except InputError:
+        raise
+    except (Image.DecompressionBombError, MemoryError) as error:
+        raise InputError(f"{file}: is too large; scale it down to {LARGEST_MPX} megapixels: {error}") from error
     except UnidentifiedImageError as error:
-        raise InputError(f"{file}: is not an image that can be read; remove it or copy it again") from error
-    except (OSError, SyntaxError, ValueError, EOFError) as error:
+        raise InputError(
+            f"{file}: is not an image that can be read ({', '.join(FORMATS)} with 8 bits per channel); remove it, "
+            "copy it again or convert it"
+        ) from error
+    except (FileNotFoundError, PermissionError) as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror}; put it back, or let it be read") from error
+    except Exception as error:  # a decoder may stumble over a damaged file in any way
         raise InputError(f"{file}: is damaged ({error}); remove it or copy it again") from error
+
+
+def _require_photo(image: Image.Image, file: Path) -> None:
+    """From the header alone, before anything is decoded."""
+    if image.mode == "F":
+        raise InputError(f"{file}: has floating-point pixels and is not a photo; remove it")
+    width, height = image.size
+    if width * height > LARGEST_MPX * 1_000_000:
+        raise InputError(
+            f"{file}: is {width} by {height} pixels and too large; scale it down to {LARGEST_MPX} megapixels"
+        )
+    if min(width, height) < SMALLEST_SIDE_PX:
+        raise InputError(
+            f"{file}: is only {width} by {height} pixels; remove it, a side of {SMALLEST_SIDE_PX} is the least"
+        )
+    if max(width, height) > LONGEST_RATIO * min(width, height):
+        raise InputError(
+            f"{file}: is {width} by {height} pixels, which no camera takes at once; remove it, or cut it to "
+            f"{LONGEST_RATIO} times its width"
+        )
 
 
 @contextmanager
@@ -126,22 +192,20 @@ def _quiet_pillow() -> Iterator[None]:
         yield
 
 
-def _rgb(image: Image.Image, file: Path) -> NDArray[np.uint8]:
-    if image.mode == "F":
-        raise InputError(f"{file}: has floating-point pixels and is not a photo; remove it")
+def _rgb(image: Image.Image) -> NDArray[np.uint8]:
     if image.mode in DEEP_MODES:
         grey = (np.clip(np.asarray(image), 0, 65535) >> 8).astype(np.uint8)
         return np.repeat(grey[:, :, None], 3, axis=2)
-    return np.array(image.convert("RGB"))
+    return np.array(image if image.mode == "RGB" else image.convert("RGB"))
 
 
 def _carries_metadata(file: Path) -> bool:
     try:
-        with _quiet_pillow(), Image.open(file) as image:
+        with _quiet_pillow(), Image.open(file, formats=FORMATS) as image:
             exif = image.getexif()
             position = exif.get_ifd(ExifTags.IFD.GPSInfo)
             focal = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLength)
             xmp = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or exif.get(TIFF_XMP_TAG)
             return bool(position or focal or xmp)
-    except (OSError, SyntaxError, ValueError):
+    except Exception:  # metadata that nobody can read is none, and it is not used anyway
         return False

@@ -10,8 +10,10 @@ import json
 import os
 import re
 import shutil
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -34,6 +36,14 @@ from skymoor.types import Photos, Progress, no_progress
 T = TypeVar("T")
 
 KEY_LENGTH = 12
+
+PRODUCTS = (
+    *("summary.json", "cameras.csv", "cameras.geojson", "colmap", "pointcloud.laz", "ortho.tif", "dsm.tif"),
+    *("renders", "matches", "evaluation.json", "report.html", "stages"),
+)
+"""What skymoor writes into a run directory, or deletes from it."""
+MARKS = (".lock", "summary.json", "stages")
+"""By one of these a folder is known as a run directory."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +73,13 @@ class Store:
     def open(cls, out: Path, note: Callable[[str], None] = lambda _: None) -> Store:
         """Make or reopen a run directory and lock it; `note` is told in one line of anything odd.
 
-        Raises `InputError` when it is a file, cannot be written, or another run holds it.
+        Raises `InputError` when it is a file, cannot be written, holds files of others that a run would overwrite, or
+        another run holds it.
         """
-        if out.exists() and not out.is_dir():
-            raise InputError(f"{out}: is a file; give a folder for the results with --out")
         with disk_errors(out):
+            if out.exists() and not out.is_dir():
+                raise InputError(f"{out}: is a file; give a folder for the results with --out")
+            _require_no_others_files(out)
             (out / "stages").mkdir(parents=True, exist_ok=True)
             lock = os.open(out / ".lock", os.O_RDWR | os.O_CREAT, 0o666)
         try:
@@ -79,6 +91,15 @@ class Store:
             ) from None
         except OSError as error:
             note(f"{out}: this file system has no locks ({error.strerror}); do not start a second run here")
+        try:
+            with (
+                disk_errors(out),
+                tempfile.TemporaryFile(dir=out / "stages") as probe,
+            ):  # now, not after an hour of work
+                probe.write(b"\0")
+        except InputError:
+            os.close(lock)
+            raise
         remove_leftovers(out)
         return cls(out.resolve(), lock, note)
 
@@ -223,7 +244,19 @@ class Store:
         pattern = re.compile(rf"{re.escape(name)}-[0-9a-f]{{{KEY_LENGTH}}}\.pkl")
         for other in file.parent.iterdir():
             if other != file and pattern.fullmatch(other.name):
-                other.unlink(missing_ok=True)
+                with suppress(OSError):  # room that is not won back is no reason to stop
+                    other.unlink(missing_ok=True)
+
+
+def _require_no_others_files(out: Path) -> None:
+    """A folder without a trace of a run may hold an ortho.tif, but then it is not skymoor's to replace or delete."""
+    if any((out / mark).exists() for mark in MARKS):
+        return
+    for name in PRODUCTS:
+        if (out / name).exists():
+            raise InputError(
+                f"{out / name}: is not of a run, and a run would replace it; give another folder with --out"
+            )
 
 
 def _plain(value: object) -> object:

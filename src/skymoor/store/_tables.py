@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -46,7 +47,7 @@ def read_cameras_csv(path: Path) -> list[Estimate]:
         if row["status"] not in ("REGISTERED", "NOT_REGISTERED"):
             raise InputError(f"{where}: status {row['status']!r} is neither REGISTERED nor NOT_REGISTERED")
         component = row["component"].strip()
-        if component and not component.isdigit():
+        if component and not re.fullmatch("[0-9]{1,9}", component):
             raise InputError(f"{where}: component {component!r} is not a number")
         numbers = {
             column: _number(row[column], column, where) if row.get(column, "").strip() else None

@@ -79,16 +79,18 @@ def test_a_resumed_training_ends_like_an_uninterrupted_one(
     assert not checkpoint.exists()
 
 
-@pytest.mark.parametrize("damage", ["other options", "cut off"])
+@pytest.mark.parametrize("damage", ["other options", "cut off", "a bit of its head", "a bit of its numbers"])
 def test_a_checkpoint_that_does_not_fit_is_ignored(
     toy: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
 ) -> None:
     checkpoint = tmp_path / "field.pt"
     interrupted(toy, checkpoint, 5, monkeypatch)
     builder = toy.with_sizes(iterations=10)
-    if damage == "cut off":
+    if damage != "other options":
         builder = toy.with_sizes(iterations=SHORT)
-        checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
+        content = bytearray(checkpoint.read_bytes())
+        content[150 if "head" in damage else len(content) // 2] ^= 16
+        checkpoint.write_bytes(content[:1000] if damage == "cut off" else content)
     fresh = builder(component_of(toy.exact), toy.exact)
     again = builder(component_of(toy.exact), toy.exact, checkpoint=checkpoint)
     torch.testing.assert_close(weights_of(again), weights_of(fresh), rtol=0, atol=0)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -29,6 +31,7 @@ WARM_UP_STEPS = 50
 DECAY = 0.1
 MEASURED_SHARE = 0.6  # of the samples of a ray with a measured depth
 REPORT_STEPS = 20
+DIGEST_BYTES = hashlib.sha256().digest_size  # in front of a checkpoint
 BAD_STEPS = 20  # in a row, with a loss that is no number
 
 
@@ -198,7 +201,11 @@ class Trainer:
         }
         fresh = path.with_name(path.name + ".part")
         try:
-            torch.save(state, fresh)
+            content = io.BytesIO()
+            torch.save(state, content)
+            with fresh.open("wb") as file:
+                file.write(hashlib.sha256(content.getbuffer()).digest())
+                file.write(content.getbuffer())
             fresh.replace(path)
         except (OSError, RuntimeError):
             # No room on the disk: the training itself needs none.
@@ -209,9 +216,14 @@ class Trainer:
         if path is None or not path.exists():
             return
         try:
-            state = torch.load(path, map_location=self.proposal.density.device, weights_only=True)
+            content = path.read_bytes()
+            # PyTorch would take nearly any flipped bit for a number.
+            if hashlib.sha256(content[DIGEST_BYTES:]).digest() != content[:DIGEST_BYTES]:
+                return  # cut off or damaged: begin again
+            device = self.proposal.density.device
+            state = torch.load(io.BytesIO(content[DIGEST_BYTES:]), map_location=device, weights_only=True)
         except (OSError, RuntimeError, EOFError, ValueError):
-            return  # cut off while it was written, on a disk that was full: begin again
+            return
         if state.get("key") != schedule.key:
             return
         self.field.load_state_dict(state["field"])
