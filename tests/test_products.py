@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from blocks import block
 from skymoor.geo import EnuFrame, Grid
 from skymoor.geometry.similarity import Similarity
 from skymoor.ground import CameraWitness
-from skymoor.pipeline import Placed
-from skymoor.products import PlacedSet, accuracies, camera_rows
+from skymoor.job import Placed
+from skymoor.products import PlacedSet, accuracy_of, camera_rows, figures_of
 from skymoor.types import Reference, Registration
 
 COVARIANCE = np.diag([0.5, 0.6, 2.0])
@@ -47,17 +48,20 @@ def witness(image: str, *, contradicts: bool) -> CameraWitness:
 
 
 def test_a_ground_camera_is_as_unsure_as_all_that_it_stands_on(ground: Placed) -> None:
-    alone, _ = accuracies(replace(ground, base=None), REFERENCE)
-    both, height = accuracies(ground, REFERENCE)
+    alone = figures_of(accuracy_of(replace(ground, base=None), REFERENCE))
+    both = figures_of(accuracy_of(ground, REFERENCE))
     # Horizontal variances of about 0.55 + 0.2, and with the airborne model's 0.3 on top.
-    assert np.median(both / alone) == pytest.approx(np.sqrt((0.55 + 0.5) / (0.55 + 0.2)), rel=0.02)
-    assert np.median(height) == pytest.approx(1.6449 * np.sqrt(2.0 + 0.5), rel=0.05)
+    assert np.median(both[:, 0] / alone[:, 0]) == pytest.approx(np.sqrt((0.55 + 0.5) / (0.55 + 0.2)), rel=0.02)
+    assert np.median(both[:, 1]) == pytest.approx(1.6449 * np.sqrt(2.0 + 0.5), rel=0.05)
+    # The same without the reference's error.
+    assert np.median(both[:, 2] / alone[:, 2]) == pytest.approx(np.sqrt(0.5 / 0.2), rel=0.02)
+    assert np.median(both[:, 3]) == pytest.approx(1.6449 * np.sqrt(0.5), rel=0.05)
 
 
 def test_a_camera_that_contradicts_gets_no_place(ground: Placed) -> None:
     images = [camera.image for camera in ground.component.cameras]
     doubted = replace(ground, witnesses=[witness(image, contradicts=image == images[1]) for image in images])
-    rows = camera_rows(PlacedSet("ground0", [*images, "ground/alone.jpg"], [doubted]), REFERENCE)
+    rows = camera_rows(PlacedSet("ground0", Path("ground"), [*images, "ground/alone.jpg"], [doubted]), REFERENCE)
     assert sorted(row.image for row in rows) == sorted([*images, "ground/alone.jpg"])
     unplaced = {row.image: row for row in rows if row.lat is None}
     assert set(unplaced) == {images[1], "ground/alone.jpg"}

@@ -3,12 +3,9 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
 
@@ -16,12 +13,12 @@ import skymoor.evaluate
 from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights, WeightsFetch
 from skymoor.config import Site, load_site, parse_option, site_from_arguments, with_options
 from skymoor.errors import InputError
-from skymoor.geo.frame import EnuFrame
 from skymoor.job import Job
 from skymoor.pipeline import register_airborne
 from skymoor.pipeline_ground import register_ground_sets
 from skymoor.products import NOT_REGISTERED, PlacedSet, write_products
 from skymoor.reference import read_reference
+from skymoor.result import Result
 from skymoor.screen import Screen, accuracy_table, evaluation_table, summary_table
 from skymoor.settings import Options, check_engines
 from skymoor.simulate import SiteOptions
@@ -29,8 +26,6 @@ from skymoor.simulate.site import write_site
 from skymoor.simulate.world import World
 from skymoor.store import PRODUCTS, Store, has_metadata, name_prefix, read_cameras_csv, read_truth_csv
 from skymoor.weights import KNOWN, fetch, weights_folder
-
-Array = NDArray[np.float64]
 
 LARGEST_SEED = 2**31 - 1  # COLMAP's
 
@@ -77,7 +72,11 @@ def run(command: Run) -> bool:
         jobs = [job, *(_ground_job(f"ground{k}", folder, site, job) for k, folder in enumerate(site.ground))]
         airborne = register_airborne(job)
         placed = [airborne, *register_ground_sets(jobs[1:], airborne)]
-        sets = [PlacedSet(job.name, job.photos.names, found) for job, found in zip(jobs, placed, strict=True)]
+        folders = (site.airborne, *site.ground)
+        sets = [
+            PlacedSet(job.name, folder, job.photos.names, found)
+            for job, folder, found in zip(jobs, folders, placed, strict=True)
+        ]
         summary = write_products(sets, site, reference, options, command.seed, store)
         screen.show(summary_table(summary))
         screen.note(f"results in {command.out}")
@@ -86,10 +85,10 @@ def run(command: Run) -> bool:
 
 def evaluate(command: Evaluate) -> None:
     """`skymoor evaluate`."""
-    frame, covariance, centres = _read_summary(command.run / "summary.json")
+    result = Result.read(command.run)
     estimates = read_cameras_csv(command.run / "cameras.csv")
     truths = read_truth_csv(command.truth)
-    rows = skymoor.evaluate.evaluate(estimates, truths, frame, covariance, centres)
+    rows = skymoor.evaluate.evaluate(estimates, truths, result.frame, result.covariance, result.scene_centres())
     with Screen(plain=True) as screen, Store.open(command.run) as store:
         store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})
         screen.show(evaluation_table(rows))
@@ -202,21 +201,3 @@ def _require_run(command: Run, site: Site) -> None:
         )
         if twin is not None:
             raise InputError(f"{folder}: is named twice, or as {twin} is; name each folder of photos once, differently")
-
-
-def _read_summary(path: Path) -> tuple[EnuFrame, Array, dict[tuple[str, int], Array]]:
-    """Frame, the reference's covariance (3, 3), and where each registered component's scene is (3,)."""
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-        origin = summary["enu_origin"]
-        frame = EnuFrame(float(origin["lat"]), float(origin["lon"]), float(origin["height"]))
-        centres = {
-            (item["set"], component["component"]): np.array(component["scene_centre_enu"], dtype=np.float64)
-            for item in summary["sets"]
-            for component in item["components"]
-            if "scene_centre_enu" in component
-        }
-        covariance = np.array(summary["reference"]["covariance_m2"], dtype=np.float64)
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
-        raise InputError(f"{path}: no summary of a finished run ({error}); run skymoor run first") from error
-    return frame, covariance, centres

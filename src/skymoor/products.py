@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,9 +41,10 @@ GROUND_STEP_PX = 3  # ground photos see the same wall often: a ninth of their pi
 
 @dataclass(frozen=True, eq=False)
 class PlacedSet:
-    """A set of photos by its name, the names of its images, and what became of its components."""
+    """A set of photos by its name, its folder, the names of its images, and what became of its components."""
 
     name: str
+    folder: Path
     images: Sequence[str]
     placed: Sequence[Placed]
 
@@ -92,8 +94,8 @@ def write_products(
         "seed": seed,
         "options": options,
         "reference": {
-            "ortho": site.reference.ortho,
-            "dsm": site.reference.dsm,
+            "ortho": site.reference.ortho.resolve(),
+            "dsm": site.reference.dsm.resolve(),
             "vertical_datum": site.reference.vertical_datum,
             "covariance_m2": reference.covariance,
             "pixel_m": reference.grid.pixel_m,
@@ -128,6 +130,7 @@ def _set_summary(found: PlacedSet, reference: Reference) -> dict[str, Any]:
     good = bool(found.placed) and all(item.registration.registered for item in found.placed)
     return {
         "set": found.name,
+        "folder": found.folder.resolve(),
         "status": REGISTERED if good else NOT_REGISTERED,
         "reason": "" if found.placed else "no two photos have enough in common",
         "n_images": len(found.images),

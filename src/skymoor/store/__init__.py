@@ -4,7 +4,7 @@
 from skymoor.store._digest import code_fingerprint, digest
 from skymoor.store._photos import check_photos, has_metadata, name_prefix, open_photos, photos_fingerprint
 from skymoor.store._run import PRODUCTS, StageRecord, Store
-from skymoor.store._tables import read_cameras_csv, read_truth_csv
+from skymoor.store._tables import read_cameras_csv, read_table, read_truth_csv
 
 __all__ = [
     "PRODUCTS",
@@ -18,5 +18,6 @@ __all__ = [
     "open_photos",
     "photos_fingerprint",
     "read_cameras_csv",
+    "read_table",
     "read_truth_csv",
 ]

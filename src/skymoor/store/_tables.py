@@ -25,7 +25,7 @@ def read_truth_csv(path: Path) -> list[Truth]:
     image that is listed twice.
     """
     truths: dict[str, Truth] = {}
-    for line, row in _rows(path, TRUTH_COLUMNS):
+    for line, row in read_table(path, TRUTH_COLUMNS):
         where = f"{path}, line {line}"
         image = row["image"].strip().replace("\\", "/")
         if not image:
@@ -42,7 +42,7 @@ def read_truth_csv(path: Path) -> list[Truth]:
 def read_cameras_csv(path: Path) -> list[Estimate]:
     """Read the cameras.csv of a run. Raises `InputError`, naming file and line, for whatever does not fit."""
     estimates = []
-    for line, row in _rows(path, CAMERA_COLUMNS):
+    for line, row in read_table(path, CAMERA_COLUMNS):
         where = f"{path}, line {line}"
         if row["status"] not in ("REGISTERED", "NOT_REGISTERED"):
             raise InputError(f"{where}: status {row['status']!r} is neither REGISTERED nor NOT_REGISTERED")
@@ -58,8 +58,8 @@ def read_cameras_csv(path: Path) -> list[Estimate]:
     return estimates
 
 
-def _rows(path: Path, columns: Sequence[str]) -> list[tuple[int, Mapping[str, str]]]:
-    """Lines with their numbers, every cell text."""
+def read_table(path: Path, columns: Sequence[str]) -> list[tuple[int, Mapping[str, str]]]:
+    """Lines with their numbers, every cell text. Raises `InputError`, naming file and line, for what is no table."""
     try:
         # utf-8-sig: spreadsheets put a byte order mark in front of the first column's name.
         with path.open(encoding="utf-8-sig", newline="") as file:
