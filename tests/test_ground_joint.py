@@ -113,3 +113,11 @@ def test_the_surer_one_stays_and_nothing_is_lost_without_components(
     assert decide_jointly(["a"], [refused], [first])[0].reason == "too few"
     blind = [replace(m, depth=np.full_like(m.depth, np.nan)) for m in second]
     assert decide_jointly(["a", "b"], [answers((80.0, HERE)), answers((60.0, wrong))], [first, blind])[1].registered
+
+
+def test_what_speaks_for_each_place_is_told_in_their_order() -> None:
+    found = answers((60.0, HERE), (20.0, into_the_way()))
+    assert found.evidence == [candidate.contrast for candidate in found.candidates]
+    assert found.evidence[0] > found.evidence[1] and len(found.places) == 2
+    assert OneAnswer(Registration(True, "", HERE, n_inliers=70)).evidence == [70.0]
+    assert OneAnswer(Registration(False, "too few", None)).evidence == []

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from flight import OPTIONS, STANDOFF_M, SmallWorld
 from skymoor.cli import main
 from skymoor.geo import mahalanobis
+from skymoor.geo.frame import EnuFrame
 from skymoor.simulate.plan import dates_of
 from skymoor.simulate.satellite import ACCURACY_M, make_reference
 from skymoor.simulate.site import Site
@@ -71,6 +72,21 @@ def test_summary_says_how_well(finished: Path, small_site: Site) -> None:
     assert ce90 - 0.01 < component["predicted_ce90_m"] < ce90 + 0.3
     assert le90 < component["predicted_le90_m"] < le90 + 1.5
     assert all(stage["seconds"] >= 0 and stage["peak_mib"] > 0 for stage in summary["stages"])
+    assert component["diagnostics"]["chance_probability"] < 0.005
+
+
+def test_other_places_are_told_beside_the_believed_one(finished: Path) -> None:
+    summary = summary_of(finished)
+    (component,) = summary["sets"][0]["components"]
+    best, *others = component["hypotheses"]
+    assert others and all(best["score"] > 1.3 * other["score"] for other in others)
+    assert best["metres_per_unit"] == pytest.approx(component["enu_from_sfm"]["scale"], rel=0.03)
+    centre = component["scene_centre_enu"]
+    assert np.hypot(best["east"] - centre[0], best["north"] - centre[1]) < 15
+    origin = component["enu_origin"]
+    frame = EnuFrame(origin["lat"], origin["lon"], origin["height"])
+    enu = frame.enu_from_lla(best["lat"], best["lon"], origin["height"])[0]
+    np.testing.assert_allclose(enu[:2], [best["east"], best["north"]], atol=0.01)
 
 
 def test_evaluation(copied: Path, small_site: Site) -> None:

@@ -101,6 +101,12 @@ def test_tiles_place_both_components(
         centres = np.array([m.camera.centre for m in maps])
         gaps = item.registration.enu_from_level.apply(centres) - enu_from_level.apply(centres)
         assert np.linalg.norm(gaps, axis=1).max() < 0.2
+        (best,) = item.hypotheses
+        middle = enu_from_level.apply(np.median([camera.centre for camera in item.component.cameras], axis=0)[None])[0]
+        np.testing.assert_allclose([best.east, best.north], middle[:2], atol=0.2)
+        assert best.metres_per_unit == pytest.approx(enu_from_level.scale, rel=0.01)
+        clockwise = -np.degrees(np.arctan2(enu_from_level.rotation[1, 0], enu_from_level.rotation[0, 0]))
+        assert abs((best.turn_deg - clockwise + 180) % 360 - 180) < 1
         assert item.registration.diagnostics["pairs"] <= item.registration.diagnostics["pairs_in_all"]
 
 

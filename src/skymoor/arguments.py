@@ -23,7 +23,7 @@ class Run:
     airborne: Path | None = None
     """Folder of airborne photos."""
     ground: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
-    """Folder of ground photos (not placed by this version); may be repeated."""
+    """Folder of ground photos; may be repeated."""
     ortho: Path | None = None
     """Satellite orthophoto, any CRS that GDAL reads."""
     dsm: Path | None = None

@@ -11,7 +11,6 @@ import numpy as np
 from skymoor.densify import MetricScale
 from skymoor.geometry.similarity import Similarity
 from skymoor.ground import CameraWitness
-from skymoor.match import Placement
 from skymoor.model import SceneModel
 from skymoor.register import Relief
 from skymoor.settings import Options
@@ -49,13 +48,31 @@ class Job:
     photos_stage: str = "photos"
 
 
+@dataclass(frozen=True)
+class Hypothesis:
+    """One of the places where a component may be, whether or not it is believed.
+
+    Attributes:
+        score: what speaks for it; of one component they compare with each other.
+        east, north: where the middle of the airborne render, or of the ground cameras, would be, metres of the site.
+        turn_deg: clockwise from the level frame, seen from above, 0 to 360.
+        metres_per_unit: of the level frame.
+    """
+
+    score: float
+    east: float
+    north: float
+    turn_deg: float
+    metres_per_unit: float
+
+
 @dataclass(frozen=True, eq=False)
 class Placed:
     """A component and all that was found out about its place. `component` is in the `level` frame.
 
     `name` is that of its stages. A ground component stands on `base`, an airborne one; `walls` shows both, and each of
     its photos may have said whether it agrees (`witnesses`). `metric` is its size as single photos say it.
-    `placements` are all places in the reference that were found for an airborne one, the believed one among them.
+    `hypotheses` are all places that were found, the likeliest first.
     """
 
     name: str
@@ -72,7 +89,7 @@ class Placed:
     walls: Image | None = None
     witnesses: Sequence[CameraWitness] = ()
     metric: MetricScale | None = None
-    placements: Sequence[Placement] = ()
+    hypotheses: Sequence[Hypothesis] = ()
 
     @property
     def cameras_enu(self) -> list[Camera]:

@@ -26,7 +26,7 @@ from skymoor.choice import files_of
 from skymoor.densify import DepthEstimator
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
-from skymoor.job import Job, Placed, refused
+from skymoor.job import Hypothesis, Job, Placed, refused
 from skymoor.lift import lift
 from skymoor.match import Placement, decoy_scores, match_placed, search_placements
 from skymoor.model import SceneModel
@@ -42,6 +42,7 @@ from skymoor.types import (
     Mask,
     Matches3D,
     Raster,
+    Reference,
     Registration,
     Render,
 )
@@ -126,7 +127,13 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
         _, up = lay_on_reference(render, registration, reference, options.match.min_height_confidence)
         relief = compare_relief(up, reference.height, reference.grid.pixel_m, options.relief)
     found = Placed(name, level, level_from_sfm, registration, gravity, depths, model, render, matches, relief)
-    return replace(found, placements=placements)
+    return replace(found, hypotheses=[_hypothesis(placement, render, reference) for placement in placements])
+
+
+def _hypothesis(placement: Placement, render: Render, reference: Reference) -> Hypothesis:
+    east, north = reference.grid.enu_from_px(np.array([placement.place]))[0].tolist()
+    metres_per_unit = placement.scale * reference.grid.pixel_m / render.view.pixel
+    return Hypothesis(placement.score, east, north, float(np.degrees(placement.heading_rad) % 360), metres_per_unit)
 
 
 def densify_component(

@@ -32,7 +32,7 @@ from skymoor.ground import (
     search_ground,
     walls_picture,
 )
-from skymoor.job import Job, Placed, refused
+from skymoor.job import Hypothesis, Job, Placed, refused
 from skymoor.orient import estimate_ground_gravity, level_from_gravity
 from skymoor.pipeline import densify_component, ground_of, reconstruct_set
 from skymoor.render import oblique_views
@@ -71,8 +71,20 @@ def register_ground_sets(jobs: Sequence[Job], airborne: Sequence[Placed]) -> lis
         jobs[0].options.ground.joint,
     )
     decided = dict(zip(names, found, strict=True))
+    places = {item.name: _hypotheses(item, answers) for item, answers in searched}
+    levelled = [(n, replace(item, hypotheses=places.get(item.name, []))) for n, item in levelled]
     placed = [(n, _heard(item, decided.get(item.name), ready, jobs[n])) for n, item in levelled]
     return [[item for n, item in placed if n == number] for number in range(len(jobs))]
+
+
+def _hypotheses(item: Placed, answers: Answers) -> list[Hypothesis]:
+    """Where a component may stand, believed or not."""
+    told, middle = [], np.median([camera.centre for camera in item.component.cameras], axis=0)
+    for place, evidence in zip(answers.places, answers.evidence, strict=True):
+        east, north, _ = place.apply(middle[None])[0].tolist()
+        turn_deg = -np.degrees(np.arctan2(place.rotation[1, 0], place.rotation[0, 0])) % 360
+        told.append(Hypothesis(evidence, east, north, float(turn_deg), place.scale))
+    return told
 
 
 def _airborne(bases: Sequence[Placed], job: Job) -> _Airborne | None:

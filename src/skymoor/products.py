@@ -173,25 +173,11 @@ def _component_summary(index: int, item: Placed, reference: Reference) -> dict[s
 
 
 def _hypotheses(item: Placed, reference: Reference, count: int = 3) -> list[dict[str, float]]:
-    """The best places of an airborne component in the reference, whichever is believed: where its middle is."""
-    if item.render is None:
-        return []
+    """The likeliest places of a component, whichever is believed."""
     told = []
-    for placement in item.placements[:count]:
-        east, north = reference.grid.enu_from_px(np.array([placement.place]))[0]
-        lat, lon, _ = reference.frame.lla_from_enu([[east, north, 0.0]])[0]
-        metres_per_unit = placement.scale * reference.grid.pixel_m / item.render.view.pixel
-        told.append(
-            {
-                "score": placement.score,
-                "lat": float(lat),
-                "lon": float(lon),
-                "east": float(east),
-                "north": float(north),
-                "turn_deg": float(np.degrees(placement.heading_rad) % 360),
-                "metres_per_unit": float(metres_per_unit),
-            }
-        )
+    for one in item.hypotheses[:count]:
+        lat, lon, _ = reference.frame.lla_from_enu([[one.east, one.north, 0.0]])[0].tolist()
+        told.append({"lat": lat, "lon": lon, **asdict(one)})
     return told
 
 

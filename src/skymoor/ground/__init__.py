@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ground photos onto the airborne model: what several stages do together (paper, section 3.4)."""
 
+from skymoor.ground.answers import Answers, OneAnswer, WallAnswers
 from skymoor.ground.cameras import CameraOptions, CameraWitness, hear_cameras
-from skymoor.ground.joint import Answers, JointOptions, OneAnswer, conflict, decide_jointly
+from skymoor.ground.joint import JointOptions, conflict, decide_jointly
 from skymoor.ground.picture import walls_picture
-from skymoor.ground.search import WallAnswers, search_ground
+from skymoor.ground.search import search_ground
 from skymoor.ground.walls import AirborneWalls, GroundOptions, airborne_walls, moved_map
 
 __all__ = [

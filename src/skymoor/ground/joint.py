@@ -3,44 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from skymoor.geometry.similarity import Similarity
+from skymoor.ground.answers import Answers
 from skymoor.types import Array, DepthMap, Registration
-
-
-class Answers(Protocol):
-    """Where a component may stand, by some search."""
-
-    @property
-    def places(self) -> Sequence[Similarity]:
-        """ENU from level, the best first."""
-
-    def judged(self, excluded: Collection[int] = ()) -> Registration:
-        """The best place, or why it is not believed, if those numbered in `excluded` are known to be wrong."""
-
-
-@dataclass(frozen=True, eq=False)
-class OneAnswer:
-    """The answer of a search that gives no other than its best."""
-
-    registration: Registration
-
-    @property
-    def places(self) -> list[Similarity]:
-        """See `Answers`."""
-        placed = self.registration.enu_from_level
-        return [] if placed is None else [placed]
-
-    def judged(self, excluded: Collection[int] = ()) -> Registration:
-        """See `Answers`."""
-        if not excluded:
-            return self.registration
-        return replace(self.registration, registered=False, reason="nothing was found")
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -22,6 +22,7 @@ from skymoor.facade import (
     surface_of,
 )
 from skymoor.geometry.similarity import Similarity
+from skymoor.ground.answers import WallAnswers
 from skymoor.ground.matches import photo_matches, wall_matches
 from skymoor.ground.polish import aside, polished
 from skymoor.ground.walls import AirborneWalls, GroundOptions, moved_map
@@ -29,39 +30,13 @@ from skymoor.match import agreement, search_shifts
 from skymoor.register import (
     Candidate,
     Guess,
-    JudgeOptions,
     independent_cells,
-    judge_ground,
     pool_guesses,
     register,
     restated,
     with_covariance_of,
 )
 from skymoor.types import Array, DepthMap, Matches3D, Progress, Registration, no_progress
-
-
-@dataclass(frozen=True, eq=False)
-class WallAnswers:
-    """All places that were found for a component, the best one first; see `Answers`.
-
-    `probes` (n, 3) are cameras and corners of walls in the level frame, and `counts` says how much was searched.
-    """
-
-    candidates: tuple[Candidate, ...]
-    probes: Array
-    counts: dict[str, float]
-    judge: JudgeOptions
-
-    @property
-    def places(self) -> list[Similarity]:
-        """ENU from level, of each candidate."""
-        return [candidate.enu_from_level for candidate in self.candidates]
-
-    def judged(self, excluded: Collection[int] = ()) -> Registration:
-        """The best place, or why it is not believed, if those numbered in `excluded` are known to be wrong."""
-        left = [candidate for k, candidate in enumerate(self.candidates) if k not in excluded]
-        found = judge_ground(left, self.probes, self.judge)
-        return replace(found, diagnostics={**found.diagnostics, **self.counts})
 
 
 def search_ground(
