@@ -67,3 +67,22 @@ def test_a_camera_that_contradicts_gets_no_place(ground: Placed) -> None:
     assert set(unplaced) == {images[1], "ground/alone.jpg"}
     assert unplaced[images[1]].component == 0 and unplaced["ground/alone.jpg"].component is None
     assert all(row.status == "REGISTERED" for row in rows if row.image not in unplaced)
+
+
+def test_what_a_doubted_camera_sees_leaves_the_model(ground: Placed) -> None:
+    images = [camera.image for camera in ground.component.cameras]
+    turn = Similarity.from_quaternion_wxyz(2.0, [0.9, 0.1, 0.3, -0.2], [5.0, 6.0, 7.0])
+    doubted = replace(
+        ground,
+        witnesses=[witness(image, contradicts=image == images[1]) for image in images],
+        registration=replace(ground.registration, enu_from_level=turn),
+    )
+    whole, left = ground.component.moved(turn), doubted.component_enu
+    assert left is not None
+    assert [camera.image for camera in left.cameras] == [image for image in images if image != images[1]]
+    np.testing.assert_allclose(left.centres, np.delete(whole.centres, 1, axis=0), atol=1e-9)
+    kept = whole.obs_camera != 1
+    np.testing.assert_array_equal(left.obs_px, whole.obs_px[kept])
+    np.testing.assert_array_equal(left.obs_camera, whole.obs_camera[kept] - (whole.obs_camera[kept] > 1))
+    np.testing.assert_array_equal(left.points, whole.points)
+    assert replace(doubted, registration=replace(ground.registration, registered=False)).component_enu is None

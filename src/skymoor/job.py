@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skymoor.densify import MetricScale
+from skymoor.densify import MetricScale, PhotoWitness
 from skymoor.geometry.similarity import Similarity
 from skymoor.ground import CameraWitness
 from skymoor.model import SceneModel
@@ -70,8 +70,8 @@ class Hypothesis:
 class Placed:
     """A component and all that was found out about its place. `component` is in the `level` frame.
 
-    `name` is that of its stages. A ground component stands on `base`, an airborne one; `walls` shows both, and each of
-    its photos may have said whether it agrees (`witnesses`). `metric` is its size as single photos say it.
+    `name` is that of its stages. Each of its photos may have said whether it agrees with the others (`witnesses`). A
+    ground component stands on `base`, an airborne one; `walls` shows both; `metric` is its size as single photos say.
     `hypotheses` are all places that were found, the likeliest first.
     """
 
@@ -87,7 +87,7 @@ class Placed:
     relief: Relief | None = None
     base: Placed | None = None
     walls: Image | None = None
-    witnesses: Sequence[CameraWitness] = ()
+    witnesses: Sequence[CameraWitness | PhotoWitness] = ()
     metric: MetricScale | None = None
     hypotheses: Sequence[Hypothesis] = ()
 
@@ -107,6 +107,25 @@ class Placed:
             return None
         turn = placed.scale * placed.rotation
         return np.asarray(turn @ self.component.centre_covariances[self._trusted] @ turn.T)
+
+    @property
+    def component_enu(self) -> Component | None:
+        """The component on Earth without cameras that contradict it and what they see; None if it is not registered."""
+        placed, whole = self.registration.enu_from_level, self.component
+        if not self.registration.registered or placed is None:
+            return None
+        new = np.full(len(whole.cameras), -1, np.int32)
+        new[self._trusted] = np.arange(len(self._trusted))
+        kept = new[whole.obs_camera] >= 0
+        seen, covariances = new[whole.obs_camera[kept]], whole.centre_covariances
+        return replace(
+            whole,
+            cameras=tuple(whole.cameras[k] for k in self._trusted),
+            obs_camera=seen.astype(np.int32),
+            obs_point=whole.obs_point[kept],
+            obs_px=whole.obs_px[kept],
+            centre_covariances=None if covariances is None else covariances[self._trusted],
+        ).moved(placed)
 
     @property
     def _trusted(self) -> list[int]:

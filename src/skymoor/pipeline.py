@@ -23,7 +23,7 @@ import skymoor.reconstruct
 import skymoor.register
 import skymoor.render
 from skymoor.choice import files_of
-from skymoor.densify import DepthEstimator
+from skymoor.densify import DepthEstimator, PhotoWitness, blind_map, hear_photos
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
 from skymoor.job import Hypothesis, Job, Placed, refused
@@ -33,7 +33,7 @@ from skymoor.model import SceneModel
 from skymoor.orient import LabelOptions, estimate_gravity, ground_points, level_from_gravity
 from skymoor.overlay import lay_on_reference, nadir_raster, reference_raster
 from skymoor.reconstruct import ReconstructOptions, reconstruct, with_focal
-from skymoor.register import compare_relief, focal_correction, height_agreement, judge, register
+from skymoor.register import chance_probability, compare_relief, focal_correction, height_agreement, judge, register
 from skymoor.render import nadir_view
 from skymoor.types import (
     Array32,
@@ -105,6 +105,9 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
         level_from_sfm = level_from_gravity(component, gravity)
         level = component.moved(level_from_sfm)
         depths = densify_component(name, level, level_from_sfm, job, source, options.densify)
+        witnesses = _heard(name, level, depths, job)
+        doubted = {witness.image for witness in witnesses if witness.contradicts}
+        depths = [depth_map for depth_map in depths if depth_map.camera.image not in doubted]
         model = _model(name, level, depths, job)
         render = _render_nadir(name, model, job)
     except DegenerateGeometry as error:
@@ -114,7 +117,7 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
         reason = "the reference is too small for the model at any height that was searched"
         nothing = Registration(registered=False, reason=reason, enu_from_level=None)
         return Placed(name, level, level_from_sfm, nothing, gravity, depths, model, render)
-    decoys = _decoys(name, render, job)
+    decoys = _decoys(name, placements[0], render, job)
     registration, matches = job.store.stage(
         f"{name}.register",
         lambda: _register_best(placements, decoys, render, job),
@@ -127,7 +130,8 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
         _, up = lay_on_reference(render, registration, reference, options.match.min_height_confidence)
         relief = compare_relief(up, reference.height, reference.grid.pixel_m, options.relief)
     found = Placed(name, level, level_from_sfm, registration, gravity, depths, model, render, matches, relief)
-    return replace(found, hypotheses=[_hypothesis(placement, render, reference) for placement in placements])
+    hypotheses = [_hypothesis(placement, render, reference) for placement in placements]
+    return replace(found, witnesses=witnesses, hypotheses=hypotheses)
 
 
 def _hypothesis(placement: Placement, render: Render, reference: Reference) -> Hypothesis:
@@ -155,9 +159,28 @@ def densify_component(
     return depths
 
 
+def _heard(name: str, level: Component, depths: Sequence[DepthMap], job: Job) -> list[PhotoWitness]:
+    """What the photos say of each other's cameras."""
+    options = job.options
+
+    def compute() -> list[PhotoWitness]:
+        measured = {depth_map.camera.image for depth_map in depths}
+        others = [camera for camera in level.cameras if camera.image not in measured]
+        blind = (blind_map(camera, job.photos, options.agreement.width_px) for camera in others)
+        return hear_photos([*depths, *blind], options.agreement)
+
+    return job.store.stage(
+        f"{name}.witnesses",
+        compute,
+        options=options.agreement,
+        after=[f"{name}.depths"],
+        code=[skymoor.densify],
+    )
+
+
 def _model(name: str, level: Component, depths: Sequence[DepthMap], job: Job) -> SceneModel:
     options, builder = job.options.model, job.options.model.builder
-    after = [f"{name}.depths"]
+    after = [f"{name}.depths", f"{name}.witnesses"]
     if options.ranking is not None:
         builder = partial(options.nerf, monocular=_single_photo_depths(name, depths, job))
         after.append(f"{name}.monocular")
@@ -187,7 +210,7 @@ def _single_photo_depths(name: str, depths: Sequence[DepthMap], job: Job) -> lis
         f"{name}.monocular",
         compute,
         options=(engine, stamps(files_of(engine))),
-        after=[f"{name}.depths"],
+        after=[f"{name}.depths", f"{name}.witnesses"],
         code=[skymoor.densify],
     )
 
@@ -219,9 +242,9 @@ def _search(name: str, render: Render, job: Job) -> list[Placement]:
     )
 
 
-def _decoys(name: str, render: Render, job: Job) -> list[float]:
+def _decoys(name: str, best: Placement, render: Render, job: Job) -> list[float]:
     """What pictures like the render, that lie nowhere, score in the reference."""
-    match = job.options.match
+    match, sure = job.options.match, job.options.register.max_chance / 50
     return job.store.stage(
         f"{name}.decoys",
         lambda: decoy_scores(
@@ -230,11 +253,12 @@ def _decoys(name: str, render: Render, job: Job) -> list[float]:
             options=match.search,
             decoys=match.decoys,
             rng=np.random.default_rng(job.seed),
+            enough=lambda scores: chance_probability(best.score, scores) < sure,
             progress=job.track("decoys"),
         ),
-        options=(match.decoys, job.seed),
+        options=(match.decoys, sure, job.seed),
         after=[f"{name}.search"],
-        code=[skymoor.match, "skymoor.overlay"],
+        code=[skymoor.match, "skymoor.register.chance", "skymoor.overlay"],
     )
 
 

@@ -199,9 +199,8 @@ def calibration_note(item: Placed) -> str:
 
 def _write_component(name: str, item: Placed, reference: Reference, options: MatchOptions, store: Store) -> None:
     _write_pictures(name, item, reference, options, store)
-    found = item.registration
-    if found.registered and found.enu_from_level is not None:
-        enu = item.component.moved(found.enu_from_level)
+    found, enu = item.registration, item.component_enu
+    if enu is not None and found.enu_from_level is not None:
         store.write_folder(f"colmap/{name}", lambda folder: write_colmap(enu, folder))
         transform = found.enu_from_level @ item.level_from_sfm
         store.write_json(f"colmap/{name}/georeference.json", georeference(reference.frame, transform))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from skymoor.choice import files_of
-from skymoor.densify import MetricDepthOptions, MonocularDepth, RelativeDepthOptions, StereoOptions
+from skymoor.densify import AgreementOptions, MetricDepthOptions, MonocularDepth, RelativeDepthOptions, StereoOptions
 from skymoor.ground import GroundOptions, JointOptions
 from skymoor.lift import LiftOptions
 from skymoor.match import CyclicOptions, DecoyOptions, MatcherOptions, RetrieverOptions, SearchOptions
@@ -147,6 +147,7 @@ class Options:
     orient: OrientOptions = field(default_factory=OrientOptions)
     labels: LabelOptions = field(default_factory=LabelOptions)
     densify: StereoOptions = field(default_factory=StereoOptions)
+    agreement: AgreementOptions = field(default_factory=AgreementOptions)
     model: ModelOptions = field(default_factory=ModelOptions)
     render: RenderOptions = field(default_factory=RenderOptions)
     match: MatchOptions = field(default_factory=MatchOptions)

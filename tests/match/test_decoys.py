@@ -74,3 +74,17 @@ def test_no_decoy_fits_into_a_reference_that_is_too_small(rng: np.random.Generat
 @pytest.mark.parametrize("parts", [1, 2])
 def test_few_parts(parts: int, rng: np.random.Generator) -> None:
     assert mixed(picture((30, 30), 4), parts, rng).mask.any()
+
+
+def test_no_more_decoys_than_are_asked_for(rng: np.random.Generator) -> None:
+    a, b = picture((60, 80), 2), picture((120, 140), 3)
+    asked: list[list[float]] = []
+
+    def enough(scores: object) -> bool:
+        asked.append(list(scores))  # type: ignore[call-overload]
+        return len(asked) == 2
+
+    limits = {"min_scale": 0.9, "max_scale": 1.1}
+    found = decoy_scores(a, b, **limits, options=OPTIONS, decoys=DecoyOptions(count=5), rng=rng, enough=enough)
+    assert [len(scores) for scores in asked] == [2, 3]
+    assert len(found) == 3 and found == asked[-1]

@@ -7,7 +7,7 @@ parts have been mixed up. They are searched as the true one was, over the same h
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from skymoor.match.search import SearchOptions, Sized, search_in
 from skymoor.types import Progress, Raster, no_progress
 
+FEWEST = 2
 SEAM_PX = 2  # around parts that have been put elsewhere, where nothing is known
 
 
@@ -23,7 +24,7 @@ class DecoyOptions:
     """How chance is asked.
 
     Attributes:
-        count: of decoys: the mirrored picture, then mixed ones, every second of them mirrored as well.
+        count: of decoys at most: the mirrored picture, then mixed ones, every second of them mirrored as well.
         parts: along each side, into which a picture is cut.
         keep: places of each that are refined.
     """
@@ -42,11 +43,13 @@ def decoy_scores(
     options: SearchOptions | None = None,
     decoys: DecoyOptions | None = None,
     rng: np.random.Generator,
+    enough: Callable[[Sequence[float]], bool] = lambda _: False,
     progress: Progress = no_progress,
 ) -> list[float]:
     """The best score of each decoy of `a` in `b`, to be compared with those of `search_placements`.
 
-    Arguments are those of `search_placements`; `rng` mixes the parts.
+    Arguments are those of `search_placements`; `rng` mixes the parts. From the second decoy on `enough` is asked
+    whether those so far say all there is to say: each costs as much as the search.
     """
     decoys = decoys or DecoyOptions()
     options = replace(options or SearchOptions(), keep=decoys.keep)
@@ -56,7 +59,10 @@ def decoy_scores(
             reference, decoy, min_scale=min_scale, max_scale=max_scale, options=options, progress=no_progress
         )
         scores += [found[0].score] if found else []
+        if len(scores) >= FEWEST and enough(scores):
+            break
         progress(len(scores), decoys.count)
+    progress(decoys.count, decoys.count)
     return scores
 
 

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A camera in a wrong place looks at something else than the others say, whatever its own depths are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from houses import from_the_air, houses
+from skymoor.densify import AgreementOptions, hear_photos
+from skymoor.geometry.similarity import Similarity
+from skymoor.ground import moved_map
+from skymoor.types import DepthMap
+
+ASIDE = Similarity(1.0, np.eye(3), np.array([9.0, -6.0, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def maps() -> list[DepthMap]:
+    return from_the_air(houses(1))
+
+
+def blind(depth_map: DepthMap) -> DepthMap:
+    unknown = np.full_like(depth_map.depth, np.nan)
+    return replace(depth_map, depth=unknown, sigma=unknown)
+
+
+def test_photos_from_where_they_are_agree(maps: list[DepthMap]) -> None:
+    heard = hear_photos([blind(maps[0]), *maps[1:]])
+    assert [witness.image for witness in heard] == [depth_map.camera.image for depth_map in maps]
+    assert not any(witness.contradicts for witness in heard)
+    assert min(witness.ncc or 0.0 for witness in heard) > 0.8
+    assert all(0.3 < witness.covered <= 1 for witness in heard)
+
+
+@pytest.mark.parametrize("wrong", [(0,), (3, 4)])
+@pytest.mark.parametrize("measured", [True, False])
+def test_photos_from_elsewhere_contradict_even_if_they_agree_with_each_other(
+    maps: list[DepthMap], wrong: tuple[int, ...], measured: bool
+) -> None:
+    moved = [moved_map(m, ASIDE) if k in wrong else m for k, m in enumerate(maps)]
+    shown = [m if measured or k not in wrong else blind(m) for k, m in enumerate(moved)]
+    heard = hear_photos(shown)
+    assert tuple(k for k, witness in enumerate(heard) if witness.contradicts) == wrong
+    assert min(witness.ncc or 0.0 for k, witness in enumerate(heard) if k not in wrong) > 0.75
+
+
+def test_where_nothing_is_to_be_seen_nothing_is_said(maps: list[DepthMap]) -> None:
+    rng = np.random.default_rng(0)
+    plain = [replace(m, rgb=rng.integers(120, 126, m.rgb.shape, np.uint8)) for m in maps]
+    assert all(witness.ncc is None and not witness.contradicts for witness in hear_photos(plain))
+    alone = hear_photos(maps[:1])
+    assert (alone[0].ncc, alone[0].covered, alone[0].contradicts) == (None, 0.0, False)
+    assert hear_photos([]) == []
+    far = moved_map(maps[0], Similarity(1.0, np.eye(3), np.array([5000.0, 0.0, 0.0])))
+    assert hear_photos([far, *maps[1:]])[0].ncc is None
+
+
+def test_sparser_points_say_the_same(maps: list[DepthMap]) -> None:
+    full, few = (hear_photos(maps, AgreementOptions(dense_maps=count)) for count in (100, 3))
+    np.testing.assert_allclose([w.ncc for w in full], [w.ncc for w in few], atol=0.12)
