@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import tempfile
 from pathlib import Path
 
-import cv2
 import pycolmap
 import pytest
 
@@ -30,8 +31,14 @@ def test_no_room_for_grey_copies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     site = make_site(tmp_path)
-    real = cv2.imwrite
-    monkeypatch.setattr(cv2, "imwrite", lambda path, image: "000002" not in path and real(path, image))
+    real = Path.write_bytes
+
+    def full(path: Path, content: bytes) -> int:
+        if "000002" in path.name:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        return real(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
     assert_refused(site, Case("", lambda _: None, ("000002", "No space", "TMPDIR")), lambda: capsys.readouterr().err)
     monkeypatch.undo()
     assert run(site) == 3

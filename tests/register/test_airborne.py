@@ -95,8 +95,8 @@ def test_the_same_seed_gives_the_same_answer() -> None:
 
 
 def test_predicted_accuracy_covers_the_error_of_many_trials() -> None:
-    """Independent errors: the prediction is up to twice the textbook's, for 300 matches cannot deny that a small share
-    of their errors is alike everywhere; and never less."""
+    """Independent errors: the prediction is up to three times the textbook's, for 300 matches cannot deny that a small
+    share of their errors is alike everywhere; and never less."""
     where = TRUTH.apply([[0.0, 0.0, 1.0], [0.6, -0.5, 1.0]])
     errors, predicted = [], []
     for seed in range(25):
@@ -107,7 +107,7 @@ def test_predicted_accuracy_covers_the_error_of_many_trials() -> None:
         predicted.append(point_covariance(found.covariance, found.centroid_enu, where))
     mean_predicted = np.sqrt(np.mean([np.diagonal(p, axis1=1, axis2=2) for p in predicted], axis=0))
     actual = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert ((actual / mean_predicted > 0.4) & (actual / mean_predicted < 1.2)).all()
+    assert ((actual / mean_predicted > 0.33) & (actual / mean_predicted < 1.2)).all()
     assert (actual < 0.3).all()
 
 
