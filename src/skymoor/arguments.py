@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -14,7 +14,21 @@ from skymoor.simulate.options import SiteOptions
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """Place a site's photos on the Earth."""
+    """Place a site's photos on the Earth.
+
+    For example:
+
+    skymoor run site.toml --out result
+
+    skymoor run site.toml --out result --dry-run
+
+    skymoor run --airborne photos --ground walk --ortho ortho.tif --dsm dsm.tif --vertical-datum EPSG:3855 --ce90 2.1
+    --le90 3.8 --out result
+
+    skymoor run site.toml --out result --set model.kind=nerf --set match.max_height_m=150
+
+    Exit status: 0 all is registered, 3 something is not, 2 the input is wrong, 1 an error of skymoor's.
+    """
 
     site: Annotated[Path | None, tyro.conf.Positional] = None
     """site.toml; or say --airborne, --ortho and --dsm."""
@@ -40,21 +54,33 @@ class Run:
     """Makes a run repeatable."""
     quiet: bool = False
     """Plain lines in place of progress bars."""
+    dry_run: bool = False
+    """Check all input and print what would be done, with about how much time and memory; write nothing."""
+    json: bool = False
+    """For scripts: the result as JSON on stdout, all else on stderr."""
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Compare a finished run with true camera positions."""
+    """Compare a finished run with true camera positions.
+
+    For example: skymoor evaluate result --truth truth.csv
+    """
 
     run: Annotated[Path, tyro.conf.Positional]
     """Folder of the run."""
     truth: Path
     """truth.csv: image,lat,lon,height."""
+    json: bool = False
+    """For scripts: the rows as JSON on stdout."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Simulate:
-    """Make a site with exact truth: photos, orthophoto, DSM, site.toml, truth.csv."""
+    """Make a site with exact truth: photos, orthophoto, DSM, site.toml, truth.csv.
+
+    For example: skymoor simulate --preset industrial --seed 7 --out site
+    """
 
     out: Path
     """Folder for the site; the same command again goes on where it stopped."""
@@ -74,13 +100,39 @@ class Demo:
 
 
 @dataclass(frozen=True)
+class Doctor:
+    """Look whether this machine has what runs need: versions, GPU, memory, disk, weights."""
+
+    out: Path = Path()
+    """Where results are going to be written."""
+    json: bool = False
+    """For scripts: as JSON on stdout."""
+
+
+@dataclass(frozen=True)
+class Completion:
+    """Print a script that completes commands and options with the tab key.
+
+    For example: skymoor completion bash > ~/.local/share/bash-completion/completions/skymoor
+    """
+
+    shell: Annotated[Literal["bash", "zsh", "tcsh"], tyro.conf.Positional]
+
+
+@dataclass(frozen=True)
 class WeightsList:
     """Show the pretrained weights that are known, their licences, and which of them are here."""
+
+    json: bool = False
+    """For scripts: as JSON on stdout."""
 
 
 @dataclass(frozen=True)
 class WeightsFetch:
-    """Download pretrained weights and check them."""
+    """Download pretrained weights and check them.
+
+    For example: skymoor weights fetch aliked
+    """
 
     name: Annotated[str, tyro.conf.Positional]
     """As in the list."""

@@ -6,19 +6,39 @@ from __future__ import annotations
 import errno
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any
 
 import tyro
 
 from skymoor import __version__
-from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights
+from skymoor.arguments import Completion, Demo, Doctor, Evaluate, Run, Simulate, Weights
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
+from skymoor.options import nearest
 
 # What disks and paths are guilty of, wherever it comes up; the rest is an error of ours.
 OF_THE_DISK = (
     *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO),
     *(errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP),
 )
+COMMANDS = {
+    "run": Run,
+    "evaluate": Evaluate,
+    "simulate": Simulate,
+    "demo": Demo,
+    "weights": Weights,
+    "doctor": Doctor,
+    "completion": Completion,
+}
+_Command: Any = tyro.conf.OmitArgPrefixes[  # type: ignore[misc]
+    reduce(or_, (Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items()))
+]
+DESCRIPTION = """skymoor moors floating 3D models to the Earth: photos without metadata, an orthophoto and its DSM go
+in, and every camera and model gets its place, with an accuracy, or a reason why not.
+
+Begin with: skymoor doctor, then skymoor demo, then skymoor run site.toml --out result. Each command explains itself:
+skymoor run --help."""
 EXIT_REGISTERED, EXIT_ERROR, EXIT_USAGE, EXIT_NOT_REGISTERED = 0, 1, 2, 3
 
 
@@ -29,16 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(__version__)
         return 0
     try:
-        chosen = tyro.cli(
-            Annotated[Run, tyro.conf.subcommand("run")]
-            | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
-            | Annotated[Simulate, tyro.conf.subcommand("simulate")]
-            | Annotated[Demo, tyro.conf.subcommand("demo")]
-            | tyro.conf.OmitArgPrefixes[Annotated[Weights, tyro.conf.subcommand("weights")]],
-            args=arguments,
-            prog="skymoor",
-            description="skymoor moors floating 3D models to the Earth.",
-        )
+        if arguments and not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
+            raise InputError(f"there is no command {arguments[0]}; {nearest(arguments[0], list(COMMANDS))}")
+        chosen = tyro.cli(_Command, args=arguments, prog="skymoor", description=DESCRIPTION)
         return _done(chosen)
     except (InputError, BackendUnavailable) as error:  # an engine that is not here was asked for
         _tell(error)
@@ -56,8 +69,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _done(chosen: Run | Evaluate | Simulate | Demo | Weights) -> int:
+def _done(chosen: Any) -> int:
     """The exit status of a command that raised nothing."""
+    if isinstance(chosen, Completion):
+        return main(["--tyro-print-completion", chosen.shell])
     from skymoor import commands  # pycolmap, torch and OpenCV load here, not for --help
 
     if isinstance(chosen, Evaluate):
@@ -66,6 +81,8 @@ def _done(chosen: Run | Evaluate | Simulate | Demo | Weights) -> int:
         commands.simulate(chosen)
     elif isinstance(chosen, Weights):
         commands.weights(chosen)
+    elif isinstance(chosen, Doctor):
+        return EXIT_REGISTERED if commands.doctor(chosen) else EXIT_ERROR
     else:
         done = commands.run(chosen) if isinstance(chosen, Run) else commands.demo(chosen)
         return EXIT_REGISTERED if done else EXIT_NOT_REGISTERED

@@ -6,25 +6,27 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from rich.table import Table
-from rich.text import Text
-
 import skymoor.evaluate
-from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights, WeightsFetch
+from skymoor.arguments import Demo, Doctor, Evaluate, Run, Simulate, Weights, WeightsFetch
 from skymoor.config import Site, load_site, parse_option, site_from_arguments, with_options
+from skymoor.doctor import examine
 from skymoor.errors import InputError
 from skymoor.job import Job
+from skymoor.log import logged
 from skymoor.pipeline import register_airborne
 from skymoor.pipeline_ground import register_ground_sets
+from skymoor.plan import plan
 from skymoor.products import NOT_REGISTERED, PlacedSet, write_products
 from skymoor.reference import read_reference
 from skymoor.result import Result
-from skymoor.screen import Screen, accuracy_table, evaluation_table, summary_table
+from skymoor.screen import Screen
 from skymoor.settings import Options, check_engines
 from skymoor.simulate import SiteOptions
 from skymoor.simulate.site import write_site
 from skymoor.simulate.world import World
-from skymoor.store import PRODUCTS, Store, has_metadata, name_prefix, read_cameras_csv, read_truth_csv
+from skymoor.store import PRODUCTS, Store, check_photos, has_metadata, name_prefix, read_cameras_csv, read_truth_csv
+from skymoor.tables import accuracy_table, checks_table, evaluation_table, plan_table, summary_table, weights_table
+from skymoor.types import Reference
 from skymoor.weights import KNOWN, fetch, weights_folder
 
 LARGEST_SEED = 2**31 - 1  # COLMAP's
@@ -52,15 +54,19 @@ def run(command: Run) -> bool:
         )
     check_engines(options, ground=bool(site.ground))
     _require_run(command, site)
-    with Screen(plain=command.quiet) as screen, Store.open(command.out, note=screen.note) as store:
+    if command.dry_run:
+        return _show_plan(command, site, options)
+    with (
+        Screen(plain=command.quiet, for_scripts=command.json) as screen,
+        Store.open(command.out, note=screen.note) as store,
+        logged(store.path("run.log")),
+    ):
         photos = store.photos("photos", site.airborne, site.root, screen.track("photos"))
         _tell_metadata(site.airborne, screen)
         files = site.reference
         reference = store.stage(
             "reference",
-            lambda: read_reference(
-                files.ortho, files.dsm, files.vertical_datum, files.covariance, progress=screen.track("reference")
-            ),
+            lambda: _read_reference(site, screen),
             options=[
                 *((path, path.stat().st_size, path.stat().st_mtime_ns) for path in (files.ortho, files.dsm)),
                 files.vertical_datum,
@@ -80,6 +86,7 @@ def run(command: Run) -> bool:
         summary = write_products(sets, site, reference, options, command.seed, store)
         screen.show(summary_table(summary))
         screen.note(f"results in {command.out}")
+        screen.answer({"out": store.root, "site": summary["site"], "sets": summary["sets"]})
     return all(item["status"] != NOT_REGISTERED for item in summary["sets"])
 
 
@@ -89,7 +96,8 @@ def evaluate(command: Evaluate) -> None:
     estimates = read_cameras_csv(command.run / "cameras.csv")
     truths = read_truth_csv(command.truth)
     rows = skymoor.evaluate.evaluate(estimates, truths, result.frame, result.covariance, result.scene_centres())
-    with Screen(plain=True) as screen, Store.open(command.run) as store:
+    with Screen(plain=True, for_scripts=command.json) as screen, Store.open(command.run) as store:
+        screen.answer({"rows": rows})
         store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})
         screen.show(evaluation_table(rows))
         screen.show(accuracy_table(rows))
@@ -118,8 +126,10 @@ def demo(command: Demo) -> bool:
 def weights(command: Weights) -> None:
     """`skymoor weights list` and `skymoor weights fetch`."""
     if not isinstance(command.action, WeightsFetch):
-        with Screen(plain=True) as screen:
-            screen.show(_weights_table(weights_folder()))
+        folder = weights_folder()
+        with Screen(plain=True, for_scripts=command.action.json) as screen:
+            screen.show(weights_table(KNOWN, folder))
+            screen.answer({"folder": folder, "weights": KNOWN})
         return
     wanted = command.action
     with Screen(plain=wanted.quiet) as screen:
@@ -130,26 +140,33 @@ def weights(command: Weights) -> None:
             screen.note(f"engines find it there if SKYMOOR_WEIGHTS={wanted.to}")
 
 
-def _weights_table(folder: Path) -> Table:
-    """One line for each engine's weights."""
-    table = Table(title=Text(f"pretrained weights; they lie in {folder}"))
-    table.add_column("name", no_wrap=True)
-    for heading in ("for", "MB", "here", "licence: code", "weights", "sha256", "note"):
-        table.add_column(heading, overflow="fold")
-    for one in KNOWN:
-        there = [(folder / one.name / file.file).exists() for file in one.files]
-        digests = [file.sha256 for file in one.files if not file.folder]
-        table.add_row(
-            one.name,
-            one.what_for,
-            "?" if one.size_mb is None else f"{one.size_mb:.4g}",
-            "yes" if all(there) else "part" if any(there) else "no",
-            one.code_licence,
-            one.weights_licence,
-            "-" if not digests else "known: checked" if all(digests) else "not known: printed after the fetch",
-            one.note,
+def doctor(command: Doctor) -> bool:
+    """`skymoor doctor`; returns whether nothing that is needed is missing."""
+    checks = examine(command.out)
+    with Screen(plain=True, for_scripts=command.json) as screen:
+        screen.show(checks_table(checks))
+        screen.answer({"checks": [{**asdict(check), "status": check.status} for check in checks]})
+    return all(check.status != "missing" for check in checks)
+
+
+def _show_plan(command: Run, site: Site, options: Options) -> bool:
+    """All input checked, and what a run would do with it; writes nothing."""
+    with Screen(plain=command.quiet, for_scripts=command.json) as screen:
+        assert site.airborne is not None
+        airborne, *ground = (
+            check_photos(folder, screen.track(folder.name)) for folder in (site.airborne, *site.ground)
         )
-    return table
+        steps = plan(airborne, ground, _read_reference(site, screen).rgb[..., 0].size, options)
+        screen.show(plan_table(steps))
+        screen.note("nothing was written; leave out --dry-run to begin")
+        screen.answer({"steps": steps})
+    return True
+
+
+def _read_reference(site: Site, screen: Screen) -> Reference:
+    files = site.reference
+    track = screen.track("reference")
+    return read_reference(files.ortho, files.dsm, files.vertical_datum, files.covariance, progress=track)
 
 
 def _site(command: Run) -> Site:

@@ -3,20 +3,19 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
-from rich.text import Text
 
-from skymoor.evaluate import EvaluationRow
+from skymoor.log import LOG
+from skymoor.store import plain
 from skymoor.types import Progress
 
 NOTE_S = 20.0  # between two lines of one stage in a pipe
@@ -25,8 +24,11 @@ NOTE_S = 20.0  # between two lines of one stage in a pipe
 class Screen:
     """Shows progress: bars on a terminal, one line per finished stage elsewhere."""
 
-    def __init__(self, *, plain: bool = False) -> None:
-        self._console = Console(width=None if sys.stdout.isatty() else 160, highlight=False)
+    def __init__(self, *, plain: bool = False, for_scripts: bool = False) -> None:
+        """`plain` for lines in place of bars; `for_scripts` sends all but answers to stderr, and lets `answer` answer."""
+        stream = sys.stderr if for_scripts else sys.stdout
+        self._console = Console(file=stream, width=None if stream.isatty() else 160, highlight=False)
+        self._for_scripts = for_scripts
         self._plain = plain or not self._console.is_terminal
         self._bars = Bars(
             TextColumn("{task.description:>22}"),
@@ -62,10 +64,16 @@ class Screen:
     def note(self, text: str) -> None:
         """One line."""
         self._console.print(text, soft_wrap=True, markup=False)
+        LOG.info("%s", text)
 
     def show(self, table: Table) -> None:
         """A table."""
         self._console.print(table)
+
+    def answer(self, value: object) -> None:
+        """JSON on stdout, for scripts, and nothing for people."""
+        if self._for_scripts:
+            sys.stdout.write(json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n")
 
 
 @dataclass
@@ -83,89 +91,3 @@ class _Lines:
         elif note and now - (self.told or self.start) > NOTE_S:
             self.told = now
             self.console.print(f"{self.name}: {note}", markup=False)
-
-
-def summary_table(summary: dict[str, Any]) -> Table:
-    """One line per component."""
-    table = Table(title=Text(summary["site"]))  # Text, because square brackets in a name are no markup
-    for heading in ("set", "component", "status", "cameras", "matches", "inliers", "CE90 m", "LE90 m", "remark"):
-        table.add_column(heading)
-    for item in summary["sets"]:
-        for component in item["components"]:
-            table.add_row(
-                item["set"],
-                str(component["component"]),
-                component["status"],
-                str(component["n_cameras"]),
-                str(component["n_matches"]),
-                f"{component['inlier_ratio']:.0%}",
-                _number(component.get("predicted_ce90_m")),
-                _number(component.get("predicted_le90_m")),
-                Text(component["reason"] or component["calibration_note"]),
-            )
-        if not item["components"]:
-            table.add_row(item["set"], "-", item["status"], "0", "-", "-", "-", "-", item["reason"])
-    return table
-
-
-def evaluation_table(rows: Sequence[EvaluationRow]) -> Table:
-    """The paper's two tables in one: errors in metres of every component.
-
-    abs and its median, horizontal and vertical mean; M-dist of the mean error and the mean per camera; rel (without
-    the mean error) and its median; fit: after the best similarity; the standoff; and what was predicted.
-    """
-    table = Table(title="errors against the truth")
-    columns = [
-        ("abs", "mean_absolute_m"),
-        ("median", "median_absolute_m"),
-        ("horiz", "mean_horizontal_m"),
-        ("vert", "mean_vertical_m"),
-        ("M-dist", "mahalanobis_of_mean"),
-        ("mean M", "mean_mahalanobis"),
-        ("rel", "mean_relative_m"),
-        ("median", "median_relative_m"),
-        ("fit", "rmse_procrustes_m"),
-        ("standoff", "standoff_m"),
-        ("CE90", "predicted_ce90_m"),
-        ("LE90", "predicted_le90_m"),
-    ]
-    for heading in ("set", "no", "status", "cameras", *(heading for heading, _ in columns)):
-        table.add_column(heading)
-    for row in rows:
-        numbers = [_number(getattr(row, name)) for _, name in columns]
-        table.add_row(row.set, str(row.component), row.status, str(row.n_cameras), *numbers)
-    return table
-
-
-def accuracy_table(rows: Sequence[EvaluationRow]) -> Table:
-    """The error split, and whether what was predicted holds: metres, and shares of cameras.
-
-    The bias is the mean error, which holds the reference's own; CE90 and LE90 as predicted and the share of cameras
-    within; and the predicted accuracy without the reference's error, beside what was found without the bias.
-    """
-    table = Table(title="what was predicted, and what holds")
-    columns = [
-        ("bias E", "bias_east_m"),
-        ("N", "bias_north_m"),
-        ("up", "bias_up_m"),
-        ("CE90", "predicted_ce90_m"),
-        ("within", "share_within_ce90"),
-        ("LE90", "predicted_le90_m"),
-        ("within", "share_within_le90"),
-        ("relative CE90", "predicted_relative_ce90_m"),
-        ("LE90", "predicted_relative_le90_m"),
-        ("rel", "mean_relative_m"),
-    ]
-    for heading in ("set", "no", *(heading for heading, _ in columns)):
-        table.add_column(heading)
-    for row in rows:
-        numbers = []
-        for _, name in columns:
-            value = getattr(row, name)
-            numbers.append(f"{value:.0%}" if name.startswith("share") and value is not None else _number(value))
-        table.add_row(row.set, str(row.component), *numbers)
-    return table
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"

@@ -3,7 +3,7 @@
 
 from skymoor.store._digest import code_fingerprint, digest
 from skymoor.store._photos import check_photos, has_metadata, name_prefix, open_photos, photos_fingerprint
-from skymoor.store._run import PRODUCTS, StageRecord, Store
+from skymoor.store._run import PRODUCTS, StageRecord, Store, plain
 from skymoor.store._tables import read_cameras_csv, read_table, read_truth_csv
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "name_prefix",
     "open_photos",
     "photos_fingerprint",
+    "plain",
     "read_cameras_csv",
     "read_table",
     "read_truth_csv",

@@ -7,6 +7,7 @@ import csv
 import fcntl
 import io
 import json
+import logging
 import os
 import re
 import shutil
@@ -35,11 +36,12 @@ from skymoor.types import Photos, Progress, no_progress
 
 T = TypeVar("T")
 
+LOG = logging.getLogger("skymoor")
 KEY_LENGTH = 12
 
 PRODUCTS = (
     *("summary.json", "cameras.csv", "cameras.geojson", "colmap", "pointcloud.laz", "ortho.tif", "dsm.tif"),
-    *("renders", "matches", "evaluation.json", "report.html", "stages"),
+    *("renders", "matches", "evaluation.json", "report.html", "run.log", "stages"),
 )
 """What skymoor writes into a run directory, or deletes from it."""
 MARKS = (".lock", "summary.json", "stages")
@@ -145,12 +147,15 @@ class Store:
         cached = self._cached(name, key, file)
         if cached is not None:
             record, value = cached
+            LOG.info("%s: from the cache", name)
         else:
             reset_peak()
             start = time.perf_counter()
+            LOG.info("%s: begins", name)
             value = compute()
             record = StageRecord(name, key, time.perf_counter() - start, peak_mib(), cached=False)
             write_cache(file, record, value)
+            LOG.info("%s: %.1f s, at most %.0f MiB", name, record.seconds, record.peak_mib)
         self._records[name] = record
         self._forget_others(name, file)
         return value  # type: ignore[no-any-return]
@@ -187,7 +192,7 @@ class Store:
 
     def write_json(self, name: str, value: object) -> Path:
         """Write JSON; dataclasses become objects, arrays lists, paths text, and numbers that are not finite null."""
-        return self.write_text(name, json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+        return self.write_text(name, json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
     def write_csv(self, name: str, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> Path:
         """Write a table with a header; None becomes an empty cell and floats keep all their digits."""
@@ -259,12 +264,12 @@ def _require_no_others_files(out: Path) -> None:
             )
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
     """What the JSON encoder understands."""
     if isinstance(value, Enum):
         return value.name
     if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float):
         return value if np.isfinite(value) else None
     if value is None or isinstance(value, (bool, int, str)):
@@ -272,9 +277,9 @@ def _plain(value: object) -> object:
     if isinstance(value, Path):
         return value.as_posix()
     if is_dataclass(value) and not isinstance(value, type):
-        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
+        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     raise TypeError(f"{type(value).__qualname__} cannot be written as JSON")
