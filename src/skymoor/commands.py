@@ -10,7 +10,8 @@ from rich.table import Table
 from rich.text import Text
 
 import skymoor.evaluate
-from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights, WeightsFetch
+import skymoor.exports
+from skymoor.arguments import Demo, Evaluate, Export, Run, Simulate, Weights, WeightsFetch
 from skymoor.config import Site, load_site, parse_option, site_from_arguments, with_options
 from skymoor.errors import InputError
 from skymoor.job import Job
@@ -93,6 +94,12 @@ def evaluate(command: Evaluate) -> None:
         store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})
         screen.show(evaluation_table(rows))
         screen.show(accuracy_table(rows))
+
+
+def export(command: Export) -> None:
+    """`skymoor export`."""
+    with Screen(plain=command.quiet) as screen:
+        skymoor.exports.export(Result.read(command.run), command.to, command.out, screen.note, screen.track)
 
 
 def simulate(command: Simulate) -> None:

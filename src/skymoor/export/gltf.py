@@ -53,8 +53,7 @@ def mesh_glb(points_enu: Array, colours: NDArray[np.uint8], faces: NDArray[np.ui
         "materials": [{"extensions": {"KHR_materials_unlit": {}}, "doubleSided": True}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}, "indices": 2, "material": 0}]}],
         "accessors": [
-            _accessor(0, FLOAT, len(xyz), "VEC3")
-            | {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()},
+            _accessor(0, FLOAT, len(xyz), "VEC3") | {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()},
             _accessor(1, UNSIGNED_SHORT, len(xyz), "VEC4") | {"normalized": True},
             _accessor(2, UNSIGNED_INT, faces.size, "SCALAR"),
         ],

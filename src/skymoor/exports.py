@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A finished run in the words of other programs: one folder for each format, there whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+
+import laspy
+import numpy as np
+import pycolmap
+import rasterio
+
+from skymoor import __version__
+from skymoor.colmap import colmap_from_component, component_from_colmap, write_colmap
+from skymoor.errors import InputError
+from skymoor.export import (
+    CameraRow,
+    cameras_geojson,
+    cameras_geopackage,
+    cameras_kml,
+    enu_from_map,
+    georeference,
+    height_field,
+    mesh_glb,
+    nerfstudio_transforms,
+    odm_gcp_list,
+    odm_geo,
+    photo_with_position,
+    pointcloud_ply,
+    position_xmp,
+    tileset,
+    write_cog,
+)
+from skymoor.geo.datum import datum_from_ellipsoid
+from skymoor.options import nearest
+from skymoor.result import RUN_FIRST, PlacedComponent, Result
+from skymoor.store import PRODUCTS, atomic_folder
+from skymoor.types import Array, Component, Image, Progress, no_progress
+
+NOTE = "export.json"
+EGM96 = "EPSG:5773"
+JPEG = (".jpg", ".jpeg")
+MOST_NODES = 1_000_000  # of a mesh: what a browser still turns fluently
+ELLIPSOID = "metres above the WGS 84 ellipsoid"
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A finished run with what several formats need of it; images without a place are left out everywhere."""
+
+    result: Result
+    target: Path  # the folder of the format, as it will be called
+    notes: list[str] = field(default_factory=list)
+    progress: Progress = no_progress
+
+    @cached_property
+    def rows(self) -> list[CameraRow]:
+        """Cameras with a place."""
+        return [row for row in self.result.cameras if row.lat is not None]
+
+    def components(self) -> Iterator[tuple[PlacedComponent, Component]]:
+        """Registered components in ENU metres, with the cameras that cameras.csv places in them."""
+        for part in self.result.components:
+            if part.registered:
+                placed = {row.image for row in self.rows if (row.set, row.component) == (part.set, part.index)}
+                yield part, _kept(_read_colmap(self.result.folder / "colmap" / part.name), placed)
+
+    def product(self, name: str) -> Path:
+        """A file of the run. Raises `InputError` when it is missing."""
+        path = self.result.folder / name
+        if not path.is_file():
+            raise InputError(f"{path}: is missing from the run; {RUN_FIRST}")
+        return path
+
+
+def export(
+    result: Result,
+    formats: Sequence[str],
+    out: Path,
+    note: Callable[[str], None],
+    track: Callable[[str], Progress] = lambda _: no_progress,
+) -> None:
+    """Write each format into its folder below `out`; `note` is told one line of each.
+
+    Raises `InputError` for an unknown format, when nothing is registered, when a file of the run is missing, and where
+    photos, the run's own products or foreign files would be harmed.
+    """
+    chosen = chosen_formats(formats)
+    _require_out(result, out)
+    source = Source(result, out)
+    if not source.rows:
+        raise InputError(f"{result.folder}: nothing is registered, so there is nothing to export")
+    for name in chosen:
+        _require_ours(out / name)
+    left_out = len(result.cameras) - len(source.rows)
+    for name in chosen:
+        part = replace(source, target=out / name, notes=[], progress=track(name))
+        atomic_folder(out / name, lambda folder, part=part, name=name: _fill(part, name, folder))  # type: ignore[misc]
+        note("; ".join([f"{out / name}: {len(part.rows)} cameras, {left_out} without a place left out", *part.notes]))
+
+
+def chosen_formats(names: Sequence[str]) -> list[str]:
+    """The formats of a list such as "exif,kml" or "all". Raises `InputError` for one that is not known."""
+    asked = [name.strip() for text in names for name in text.split(",") if name.strip()]
+    for name in asked:
+        if name != "all" and name not in FORMATS:
+            raise InputError(f"--to {name}: no such format; {nearest(name, [*FORMATS, 'all'])}")
+    if not asked:
+        raise InputError(f"--to: name a format; known: {', '.join([*FORMATS, 'all'])}")
+    return list(FORMATS) if "all" in asked else list(dict.fromkeys(asked))
+
+
+def _fill(source: Source, name: str, folder: Path) -> None:
+    heights = FORMATS[name](source, folder)
+    files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    told = {"skymoor": __version__, "format": name, "heights": heights, "files": files}
+    (folder / NOTE).write_text(json.dumps(told, indent=1), encoding="utf-8")
+
+
+def _require_out(result: Result, out: Path) -> None:
+    where, run = out.resolve(), result.folder.resolve()
+    folders = [Path(one["folder"]).resolve() for one in result.summary["sets"] if "folder" in one]
+    for folder in folders:
+        if folder.is_relative_to(where) or where.is_relative_to(folder):
+            raise InputError(f"{out}: holds the photos of {folder} or lies in them; give another folder with --out")
+    if run.is_relative_to(where) or (where.is_relative_to(run) and where.relative_to(run).parts[0] in PRODUCTS):
+        raise InputError(f"{out}: holds the run itself or is one of its products; give another folder with --out")
+
+
+def _require_ours(target: Path) -> None:
+    """Refuse to replace a folder that holds anything which a former export did not write."""
+    if not (target.exists() or target.is_symlink()):
+        return
+    try:
+        known = {*json.loads((target / NOTE).read_text(encoding="utf-8"))["files"], NOTE}
+    except (OSError, ValueError, KeyError, TypeError):
+        known = set()
+    for path in target.rglob("*") if target.is_dir() and not target.is_symlink() else [target]:
+        if not path.is_dir() and (path == target or path.relative_to(target).as_posix() not in known):
+            raise InputError(f"{path}: was not written by skymoor export and stays; give another folder with --out")
+
+
+def _read_colmap(folder: Path) -> Component:
+    try:
+        model = pycolmap.Reconstruction(str(folder))
+    except Exception as error:  # COLMAP's own kinds
+        raise InputError(f"{folder}: no COLMAP model of the run; {RUN_FIRST}") from error
+    names = {image.name: image.name for image in model.images.values()}
+    colours = np.array([model.point3D(k).color for k in sorted(model.point3D_ids())], np.uint8).reshape(-1, 3)
+    return replace(component_from_colmap(model, names), colours=colours)
+
+
+def _kept(component: Component, images: set[str]) -> Component:
+    """The component less cameras without a place, and less points that fewer than two of the others see."""
+    keep = np.array([camera.image in images for camera in component.cameras], bool)
+    if keep.all():
+        return component
+    seen = np.bincount(component.obs_point[keep[component.obs_camera]], minlength=len(component.points)) >= 2
+    chosen = keep[component.obs_camera] & seen[component.obs_point]
+    return replace(
+        component,
+        cameras=tuple(camera for camera, kept in zip(component.cameras, keep, strict=True) if kept),
+        points=component.points[seen],
+        colours=component.colours[seen],
+        obs_camera=(np.cumsum(keep) - 1)[component.obs_camera[chosen]].astype(np.int32),
+        obs_point=(np.cumsum(seen) - 1)[component.obs_point[chosen]].astype(np.int32),
+        obs_px=component.obs_px[chosen],
+        centre_covariances=None,
+    )
+
+
+def _colmap(source: Source, folder: Path) -> str:
+    for part, component in source.components():
+        assert part.enu_from_sfm is not None
+        for kind in ("bin", "text"):
+            (folder / kind / part.name).mkdir(parents=True)
+        write_colmap(component, folder / "bin" / part.name)
+        colmap_from_component(component).write_text(str(folder / "text" / part.name))
+        told = json.dumps(georeference(source.result.frame, part.enu_from_sfm), indent=1)
+        for kind in ("bin", "text"):
+            (folder / kind / part.name / "georeference.json").write_text(told, encoding="utf-8")
+    return f"metres up of the origin in georeference.json, which is in {ELLIPSOID}"
+
+
+def _nerfstudio(source: Source, folder: Path) -> str:
+    cameras = [camera for _, component in source.components() for camera in component.cameras]
+    paths, lost = {}, 0
+    for camera in cameras:
+        try:
+            found = source.result.photo(camera.image).resolve()
+            paths[camera.image] = Path(os.path.relpath(found, source.target.resolve())).as_posix()
+        except InputError:
+            paths[camera.image], lost = camera.image, lost + 1
+    if lost:
+        source.notes.append(f"{lost} photos are not where the run found them: put them beside transforms.json")
+    told = nerfstudio_transforms(cameras, paths, source.result.frame)
+    (folder / "transforms.json").write_text(json.dumps(told, indent=1), encoding="utf-8")
+    return f"metres up of enu_origin, which is in {ELLIPSOID}"
+
+
+def _laz(source: Source, folder: Path) -> str:
+    shutil.copyfile(source.product("pointcloud.laz"), folder / "pointcloud.laz")
+    return ELLIPSOID
+
+
+def _cog(source: Source, folder: Path) -> str:
+    for name in ("ortho.tif", "dsm.tif"):
+        write_cog(source.product(name), folder / name)
+    return ELLIPSOID
+
+
+def _geojson(source: Source, folder: Path) -> str:
+    told = json.dumps(cameras_geojson(source.rows), ensure_ascii=False)
+    (folder / "cameras.geojson").write_text(told, encoding="utf-8")
+    return ELLIPSOID
+
+
+def _gpkg(source: Source, folder: Path) -> str:
+    (folder / "cameras.gpkg").write_bytes(cameras_geopackage(source.rows))
+    return ELLIPSOID
+
+
+def _kml(source: Source, folder: Path) -> str:
+    place = np.array([[row.lat, row.lon, row.height] for row in source.rows], dtype=np.float64)
+    try:
+        heights: Array | None = datum_from_ellipsoid(*place.T, EGM96)
+    except InputError:
+        heights = None
+        source.notes.append("no EGM96 geoid grid is installed: points are clamped to the ground, without altitude")
+    (folder / "cameras.kml").write_bytes(cameras_kml(source.rows, heights))
+    return "none, clamped to the ground" if heights is None else "metres above the EGM96 geoid"
+
+
+def _ply(source: Source, folder: Path) -> str:
+    with laspy.open(source.product("pointcloud.laz")) as reader:
+        cloud, crs = reader.read(), reader.header.parse_crs()
+    enu = enu_from_map(np.asarray(cloud.xyz), source.result.frame, crs.to_wkt())
+    colours = (np.column_stack([cloud.red, cloud.green, cloud.blue]) // 257).astype(np.uint8)
+    (folder / "pointcloud.ply").write_bytes(pointcloud_ply(enu, colours, source.result.frame))
+    return f"metres up of the origin in the header, which is in {ELLIPSOID}"
+
+
+def _gltf(source: Source, folder: Path) -> str:
+    enu, colours, known = _surface(source)
+    used, faces = height_field(enu, known)
+    if not len(faces):
+        raise InputError(f"{source.product('dsm.tif')}: holds no surface to make a mesh of; {RUN_FIRST}")
+    points = enu.reshape(-1, 3)[used]
+    (folder / "model.glb").write_bytes(mesh_glb(points, colours.reshape(-1, 3)[used], faces, source.result.frame))
+    told = tileset(points, source.result.frame, "model.glb")
+    (folder / "tileset.json").write_text(json.dumps(told, indent=1), encoding="utf-8")
+    return f"metres up of the origin in asset.extras, which is in {ELLIPSOID}"
+
+
+def _surface(source: Source) -> tuple[Array, Image, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
+    """ENU positions (h, w, 3) and colours of every n-th pixel of the DSM, and where it is known."""
+    with rasterio.open(source.product("dsm.tif")) as dsm, rasterio.open(source.product("ortho.tif")) as ortho:
+        step = int(np.ceil(np.sqrt(dsm.width * dsm.height / MOST_NODES)))
+        height, known = dsm.read(1)[::step, ::step].astype(np.float64), dsm.read_masks(1)[::step, ::step] > 0
+        colours = ortho.read((1, 2, 3))[:, ::step, ::step].transpose(1, 2, 0)
+        u, v = np.meshgrid(np.arange(dsm.width)[::step] + 0.5, np.arange(dsm.height)[::step] + 0.5)
+        x, y = dsm.transform * (u, v)
+        crs = dsm.crs.to_wkt()
+    plan = np.stack([x, y, np.where(known, height, 0.0)], axis=-1)
+    return enu_from_map(plan.reshape(-1, 3), source.result.frame, crs).reshape(plan.shape), colours, known
+
+
+def _exif(source: Source, folder: Path) -> str:
+    sidecars = 0
+    for k, row in enumerate(source.rows):
+        photo = source.result.photo(row.image)
+        name = PurePosixPath(row.image)
+        copy = folder.joinpath(*(part for part in name.parts if part not in ("/", "..")))
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        if photo.suffix.lower() in JPEG:
+            copy.write_bytes(photo_with_position(photo.read_bytes(), row, str(photo)))
+        else:
+            shutil.copyfile(photo, copy)
+            copy.with_suffix(".xmp").write_text(position_xmp(row), encoding="utf-8")
+            sidecars += 1
+        source.progress(k + 1, len(source.rows))
+    source.notes.append(f"GPSAltitude is {ELLIPSOID}" + (f", {sidecars} in .xmp beside the photo" if sidecars else ""))
+    return ELLIPSOID
+
+
+def _odm(source: Source, folder: Path) -> str:
+    (folder / "geo.txt").write_text(odm_geo(source.rows), encoding="utf-8")
+    marks = [odm_gcp_list(component, source.result.frame, part.name) for part, component in source.components()]
+    (folder / "gcp_list.txt").write_text("EPSG:4326\n" + "".join(marks), encoding="utf-8")
+    source.notes.append(f"heights are {ELLIPSOID}")
+    return ELLIPSOID
+
+
+FORMATS: dict[str, Callable[[Source, Path], str]] = {
+    "colmap": _colmap,
+    "nerfstudio": _nerfstudio,
+    "laz": _laz,
+    "cog": _cog,
+    "geojson": _geojson,
+    "gpkg": _gpkg,
+    "kml": _kml,
+    "ply": _ply,
+    "gltf": _gltf,
+    "exif": _exif,
+    "odm": _odm,
+}
+"""What writes a format into an empty folder, and returns what its heights are."""
