@@ -265,7 +265,8 @@ def _surface(source: Source) -> tuple[Array, Image, np.ndarray[tuple[int, ...], 
         height, known = dsm.read(1)[::step, ::step].astype(np.float64), dsm.read_masks(1)[::step, ::step] > 0
         colours = ortho.read((1, 2, 3))[:, ::step, ::step].transpose(1, 2, 0)
         u, v = np.meshgrid(np.arange(dsm.width)[::step] + 0.5, np.arange(dsm.height)[::step] + 0.5)
-        x, y = dsm.transform * (u, v)
+        t = dsm.transform
+        x, y = t.a * u + t.b * v + t.c, t.d * u + t.e * v + t.f
         crs = dsm.crs.to_wkt()
     plan = np.stack([x, y, np.where(known, height, 0.0)], axis=-1)
     return enu_from_map(plan.reshape(-1, 3), source.result.frame, crs).reshape(plan.shape), colours, known

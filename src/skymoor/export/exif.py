@@ -69,7 +69,8 @@ def position_xmp(row: CameraRow) -> str:
             values[name] = f"{value:.3f}"
     inner = "".join(f" {name}={quoteattr(value)}" for name, value in values.items())
     return (
-        '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?><!-- GPSAltitude: metres above the WGS 84 ellipsoid -->'
+        '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>'
+        "<!-- GPSAltitude: metres above the WGS 84 ellipsoid -->"
         '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
         '<rdf:Description rdf:about="" xmlns:exif="http://ns.adobe.com/exif/1.0/" '
         f'xmlns:Camera="http://pix4d.com/camera/1.0/"{inner}/></rdf:RDF></x:xmpmeta><?xpacket end="w"?>'

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
 from numpy.typing import ArrayLike
 
@@ -20,23 +20,23 @@ CLAMPED = (
 
 def cameras_kml(rows: Sequence[CameraRow], egm96_heights: ArrayLike | None) -> bytes:
     """Placemarks of placed cameras: longitude, latitude and, where (n,) heights above EGM96 are given, altitude."""
-    root = ElementTree.Element("kml", xmlns=KML)
-    document = ElementTree.SubElement(root, "Document")
+    root = ET.Element("kml", xmlns=KML)
+    document = ET.SubElement(root, "Document")
     _add(document, "name", "skymoor cameras")
     _add(document, "description", CLAMPED if egm96_heights is None else ABSOLUTE)
     heights = [None] * len(rows) if egm96_heights is None else [float(one) for one in list(egm96_heights)]  # type: ignore[arg-type]
     for row, height in zip(rows, heights, strict=True):
-        mark = ElementTree.SubElement(document, "Placemark")
+        mark = ET.SubElement(document, "Placemark")
         _add(mark, "name", row.image)
-        data = ElementTree.SubElement(mark, "ExtendedData")
+        data = ET.SubElement(mark, "ExtendedData")
         for name, value in (("ellipsoidal_height", row.height), ("ce90_m", row.ce90), ("le90_m", row.le90)):
-            _add(ElementTree.SubElement(data, "Data", name=name), "value", "" if value is None else f"{value:.4f}")
-        point = ElementTree.SubElement(mark, "Point")
+            _add(ET.SubElement(data, "Data", name=name), "value", "" if value is None else f"{value:.4f}")
+        point = ET.SubElement(mark, "Point")
         _add(point, "altitudeMode", "clampToGround" if height is None else "absolute")
         place = f"{row.lon:.10f},{row.lat:.10f}"
         _add(point, "coordinates", place if height is None else f"{place},{height:.4f}")
-    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
-def _add(parent: ElementTree.Element, name: str, text: str) -> None:
-    ElementTree.SubElement(parent, name).text = text
+def _add(parent: ET.Element, name: str, text: str) -> None:
+    ET.SubElement(parent, name).text = text
