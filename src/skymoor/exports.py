@@ -229,7 +229,7 @@ def _gpkg(source: Source, folder: Path) -> str:
 def _kml(source: Source, folder: Path) -> str:
     place = np.array([[row.lat, row.lon, row.height] for row in source.rows], dtype=np.float64)
     try:
-        heights: Array | None = datum_from_ellipsoid(*place.T, EGM96)
+        heights: Array | None = datum_from_ellipsoid(place[:, 0], place[:, 1], place[:, 2], EGM96)
     except InputError:
         heights = None
         source.notes.append("no EGM96 geoid grid is installed: points are clamped to the ground, without altitude")
