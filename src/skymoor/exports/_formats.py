@@ -1,26 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A finished run in the words of other programs: one folder for each format, there whole or not at all."""
+"""The formats: what each writes of a run into an empty folder."""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
 import laspy
 import numpy as np
-import pycolmap
 import rasterio
 
-from skymoor import __version__
-from skymoor.colmap import colmap_from_component, component_from_colmap, write_colmap
+from skymoor.colmap import colmap_from_component, write_colmap
 from skymoor.errors import InputError
 from skymoor.export import (
-    CameraRow,
     cameras_geojson,
     cameras_geopackage,
     cameras_kml,
@@ -37,142 +32,15 @@ from skymoor.export import (
     tileset,
     write_cog,
 )
+from skymoor.exports._source import Source
 from skymoor.geo.datum import datum_from_ellipsoid
-from skymoor.options import nearest
-from skymoor.result import RUN_FIRST, PlacedComponent, Result
-from skymoor.store import PRODUCTS, atomic_folder
-from skymoor.types import Array, Component, Image, Progress, no_progress
+from skymoor.result import RUN_FIRST
+from skymoor.types import Array, Image, Mask
 
-NOTE = "export.json"
 EGM96 = "EPSG:5773"
 JPEG = (".jpg", ".jpeg")
 MOST_NODES = 1_000_000  # of a mesh: what a browser still turns fluently
 ELLIPSOID = "metres above the WGS 84 ellipsoid"
-
-
-@dataclass(frozen=True, eq=False)
-class Source:
-    """A finished run with what several formats need of it; images without a place are left out everywhere."""
-
-    result: Result
-    target: Path  # the folder of the format, as it will be called
-    notes: list[str] = field(default_factory=list)
-    progress: Progress = no_progress
-
-    @cached_property
-    def rows(self) -> list[CameraRow]:
-        """Cameras with a place."""
-        return [row for row in self.result.cameras if row.lat is not None]
-
-    def components(self) -> Iterator[tuple[PlacedComponent, Component]]:
-        """Registered components in ENU metres, with the cameras that cameras.csv places in them."""
-        for part in self.result.components:
-            if part.registered:
-                placed = {row.image for row in self.rows if (row.set, row.component) == (part.set, part.index)}
-                yield part, _kept(_read_colmap(self.result.folder / "colmap" / part.name), placed)
-
-    def product(self, name: str) -> Path:
-        """A file of the run. Raises `InputError` when it is missing."""
-        path = self.result.folder / name
-        if not path.is_file():
-            raise InputError(f"{path}: is missing from the run; {RUN_FIRST}")
-        return path
-
-
-def export(
-    result: Result,
-    formats: Sequence[str],
-    out: Path,
-    note: Callable[[str], None],
-    track: Callable[[str], Progress] = lambda _: no_progress,
-) -> None:
-    """Write each format into its folder below `out`; `note` is told one line of each.
-
-    Raises `InputError` for an unknown format, when nothing is registered, when a file of the run is missing, and where
-    photos, the run's own products or foreign files would be harmed.
-    """
-    chosen = chosen_formats(formats)
-    _require_out(result, out)
-    source = Source(result, out)
-    if not source.rows:
-        raise InputError(f"{result.folder}: nothing is registered, so there is nothing to export")
-    for name in chosen:
-        _require_ours(out / name)
-    left_out = len(result.cameras) - len(source.rows)
-    for name in chosen:
-        part = replace(source, target=out / name, notes=[], progress=track(name))
-        atomic_folder(out / name, lambda folder, part=part, name=name: _fill(part, name, folder))  # type: ignore[misc]
-        note("; ".join([f"{out / name}: {len(part.rows)} cameras, {left_out} without a place left out", *part.notes]))
-
-
-def chosen_formats(names: Sequence[str]) -> list[str]:
-    """The formats of a list such as "exif,kml" or "all". Raises `InputError` for one that is not known."""
-    asked = [name.strip() for text in names for name in text.split(",") if name.strip()]
-    for name in asked:
-        if name != "all" and name not in FORMATS:
-            raise InputError(f"--to {name}: no such format; {nearest(name, [*FORMATS, 'all'])}")
-    if not asked:
-        raise InputError(f"--to: name a format; known: {', '.join([*FORMATS, 'all'])}")
-    return list(FORMATS) if "all" in asked else list(dict.fromkeys(asked))
-
-
-def _fill(source: Source, name: str, folder: Path) -> None:
-    heights = FORMATS[name](source, folder)
-    files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    told = {"skymoor": __version__, "format": name, "heights": heights, "files": files}
-    (folder / NOTE).write_text(json.dumps(told, indent=1), encoding="utf-8")
-
-
-def _require_out(result: Result, out: Path) -> None:
-    where, run = out.resolve(), result.folder.resolve()
-    folders = [Path(one["folder"]).resolve() for one in result.summary["sets"] if "folder" in one]
-    for folder in folders:
-        if folder.is_relative_to(where) or where.is_relative_to(folder):
-            raise InputError(f"{out}: holds the photos of {folder} or lies in them; give another folder with --out")
-    if run.is_relative_to(where) or (where.is_relative_to(run) and where.relative_to(run).parts[0] in PRODUCTS):
-        raise InputError(f"{out}: holds the run itself or is one of its products; give another folder with --out")
-
-
-def _require_ours(target: Path) -> None:
-    """Refuse to replace a folder that holds anything which a former export did not write."""
-    if not (target.exists() or target.is_symlink()):
-        return
-    try:
-        known = {*json.loads((target / NOTE).read_text(encoding="utf-8"))["files"], NOTE}
-    except (OSError, ValueError, KeyError, TypeError):
-        known = set()
-    for path in target.rglob("*") if target.is_dir() and not target.is_symlink() else [target]:
-        if not path.is_dir() and (path == target or path.relative_to(target).as_posix() not in known):
-            raise InputError(f"{path}: was not written by skymoor export and stays; give another folder with --out")
-
-
-def _read_colmap(folder: Path) -> Component:
-    try:
-        model = pycolmap.Reconstruction(str(folder))
-    except Exception as error:  # COLMAP's own kinds
-        raise InputError(f"{folder}: no COLMAP model of the run; {RUN_FIRST}") from error
-    names = {image.name: image.name for image in model.images.values()}
-    colours = np.array([model.point3D(k).color for k in sorted(model.point3D_ids())], np.uint8).reshape(-1, 3)
-    return replace(component_from_colmap(model, names), colours=colours)
-
-
-def _kept(component: Component, images: set[str]) -> Component:
-    """The component less cameras without a place, and less points that fewer than two of the others see."""
-    keep = np.array([camera.image in images for camera in component.cameras], bool)
-    if keep.all():
-        return component
-    seen = np.bincount(component.obs_point[keep[component.obs_camera]], minlength=len(component.points)) >= 2
-    chosen = keep[component.obs_camera] & seen[component.obs_point]
-    return replace(
-        component,
-        cameras=tuple(camera for camera, kept in zip(component.cameras, keep, strict=True) if kept),
-        points=component.points[seen],
-        colours=component.colours[seen],
-        obs_camera=(np.cumsum(keep) - 1)[component.obs_camera[chosen]].astype(np.int32),
-        obs_point=(np.cumsum(seen) - 1)[component.obs_point[chosen]].astype(np.int32),
-        obs_px=component.obs_px[chosen],
-        centre_covariances=None,
-    )
 
 
 def _colmap(source: Source, folder: Path) -> str:
@@ -258,7 +126,7 @@ def _gltf(source: Source, folder: Path) -> str:
     return f"metres up of the origin in asset.extras, which is in {ELLIPSOID}"
 
 
-def _surface(source: Source) -> tuple[Array, Image, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
+def _surface(source: Source) -> tuple[Array, Image, Mask]:
     """ENU positions (h, w, 3) and colours of every n-th pixel of the DSM, and where it is known."""
     with rasterio.open(source.product("dsm.tif")) as dsm, rasterio.open(source.product("ortho.tif")) as ortho:
         step = int(np.ceil(np.sqrt(dsm.width * dsm.height / MOST_NODES)))
