@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import struct
@@ -23,107 +22,27 @@ from PIL import ExifTags, Image
 from plyfile import PlyData
 from pyproj import Transformer
 
+from exported_run import FRAME, LENS, cameras, points, write_run
 from skymoor.cli import main
-from skymoor.colmap import write_colmap
 from skymoor.errors import InputError
 from skymoor.export import (
-    CAMERA_COLUMNS,
     CameraRow,
     cameras_kml,
-    cameras_table,
-    georeference,
-    geotiffs,
     odm_geo,
     photo_with_position,
-    placed_cameras,
-    pointcloud_las,
     position_xmp,
-    unplaced_cameras,
 )
 from skymoor.exports import FORMATS, chosen_formats, export
-from skymoor.geo.frame import EnuFrame
-from skymoor.geo.grid import Grid
-from skymoor.geometry.camera import Intrinsics
-from skymoor.geometry.similarity import Similarity
 from skymoor.result import Result
-from skymoor.types import Array, Camera, Component
+from skymoor.types import Array
 
-FRAME = EnuFrame(-33.5, -70.25, 612.25)  # south and west: signs are a trap too
-LENS = Intrinsics(320, 240, 260.0, 262.0, 163.0, 118.0, (-0.05, 0.01, 0.001, -0.002))
 MILLIMETRE = 1e-3
-
-
-def _points() -> Array:
-    rng = np.random.default_rng(5)
-    return np.column_stack([rng.uniform(-30, 30, (60, 2)), rng.uniform(0, 8, 60)])
-
-
-def _cameras() -> tuple[Camera, ...]:
-    found = []
-    for k in range(5):
-        angle = np.radians(7.0 * k + 20)
-        turn, lean = np.diag([1.0, -1.0, -1.0]), np.radians(6.0 * (k - 2))
-        spin = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-        tilt = np.array([[1, 0, 0], [0, np.cos(lean), -np.sin(lean)], [0, np.sin(lean), np.cos(lean)]])
-        rotation, centre = tilt @ turn @ spin, np.array([6.0 * k - 12, 3.0 * k - 6, 70.0 + k])
-        suffix = "png" if k == 3 else "jpg"
-        found.append(Camera(f"air/p{k}.{suffix}", LENS, Similarity(1.0, rotation, -rotation @ centre)))
-    return tuple(found)
-
-
-def _component() -> Component:
-    cameras, points = _cameras(), _points()
-    px = np.array([LENS.px_from_cam(camera.cam_from_world.apply(points)) for camera in cameras])
-    seen = ((px > 0) & (px < [LENS.width, LENS.height])).all(axis=2)
-    camera, point = np.nonzero(seen)
-    assert seen.sum() > 150
-    colours = np.full((len(points), 3), 90, np.uint8)
-    return Component(cameras, points, colours, camera.astype(np.int32), point.astype(np.int32), px[seen], 0.0)
-
-
-def _write_photos(folder: Path) -> None:
-    folder.mkdir(parents=True)
-    picture = np.random.default_rng(1).integers(0, 255, (LENS.height, LENS.width, 3), np.uint8)
-    exif = Image.Exif()
-    exif[ExifTags.Base.Make] = "Acme"
-    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.ISOSpeedRatings] = 200
-    for camera in _cameras():
-        name = camera.image.rpartition("/")[2]
-        Image.fromarray(picture).save(folder / name, **({"exif": exif} if name.endswith("jpg") else {}))
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run of five photos, of which the last is in the model and has no place."""
-    root = tmp_path_factory.mktemp("exports")
-    folder = root / "run"
-    folder.mkdir()
-    _write_photos(root / "air")
-    component = _component()
-    (folder / "colmap" / "airborne_0").mkdir(parents=True)
-    write_colmap(component, folder / "colmap" / "airborne_0")
-    grid = Grid(-30.0, 30.0, 0.5, (120, 120))
-    plan = grid.centres()
-    up = (3 + np.sin(plan[..., 0] / 9) + plan[..., 1] / 20).astype(np.float32)
-    up[:5] = np.nan
-    rgb = np.dstack([np.full(up.shape, grey, np.uint8) for grey in (200, 100, 50)])
-    ortho, dsm = geotiffs(rgb, up, grid, FRAME, "EPSG:32719")
-    (folder / "ortho.tif").write_bytes(ortho)
-    (folder / "dsm.tif").write_bytes(dsm)
-    cloud = pointcloud_las(component.points, component.colours, FRAME, "EPSG:32719")
-    (folder / "pointcloud.laz").write_bytes(cloud)
-    rows = placed_cameras("airborne", 0, component.cameras[:4], FRAME, [2.1, 3.8, 0.1, 0.2])
-    rows += unplaced_cameras("airborne", 0, ["air/p4.jpg"])
-    with (folder / "cameras.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, CAMERA_COLUMNS)
-        writer.writeheader()
-        writer.writerows(cameras_table(rows))
-    part = {"component": 0, "status": "REGISTERED", "reason": ""} | georeference(FRAME, Similarity.identity())
-    sets = [{"set": "airborne", "folder": str(root / "air"), "status": "REGISTERED", "components": [part]}]
-    origin = part["enu_origin"]
-    summary = {"reference": {"covariance_m2": np.eye(3).tolist()}, "enu_origin": origin, "sets": sets}
-    (folder / "summary.json").write_text(json.dumps(summary))
-    return folder
+    return write_run(tmp_path_factory.mktemp("exports"))
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +71,7 @@ def _enu(lon: float, lat: float, height: float) -> Array:
 
 def _assert_cameras(lonlatheight: object) -> None:
     found = np.array([_enu(*place) for place in lonlatheight])  # type: ignore[attr-defined]
-    np.testing.assert_allclose(found, [camera.centre for camera in _cameras()[:4]], atol=MILLIMETRE)
+    np.testing.assert_allclose(found, [camera.centre for camera in cameras()[:4]], atol=MILLIMETRE)
 
 
 def test_every_format_says_what_its_heights_are(out: Path) -> None:
@@ -166,7 +85,7 @@ def test_every_format_says_what_its_heights_are(out: Path) -> None:
 @pytest.mark.parametrize("kind", ["bin", "text"])
 def test_colmap_models_project_their_points_to_where_they_were_seen(out: Path, kind: str) -> None:
     model = pycolmap.Reconstruction(str(out / "colmap" / kind / "airborne_0"))
-    assert sorted(image.name for image in model.images.values()) == [camera.image for camera in _cameras()[:4]]
+    assert sorted(image.name for image in model.images.values()) == [camera.image for camera in cameras()[:4]]
     assert model.compute_num_observations() > 100
     model.update_point_3d_errors()
     assert max(point.error for point in model.points3D.values()) < 0.01
@@ -183,15 +102,15 @@ def test_nerfstudio_cameras_project_by_opencv(out: Path) -> None:
         "p2.jpg",
         "p3.png",
     ]
-    for frame, camera in zip(told["frames"], _cameras()[:4], strict=True):
+    for frame, camera in zip(told["frames"], cameras()[:4], strict=True):
         assert (out / "nerfstudio" / frame["file_path"]).is_file()
         assert (frame["w"], frame["h"]) == (LENS.width, LENS.height)
         cam_from_world = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(np.array(frame["transform_matrix"]))
         turn, _ = cv2.Rodrigues(cam_from_world[:3, :3])
         lens = np.array([[frame["fl_x"], 0, frame["cx"]], [0, frame["fl_y"], frame["cy"]], [0, 0, 1]])
         brown = np.array([frame[name] for name in ("k1", "k2", "p1", "p2")])
-        px, _ = cv2.projectPoints(_points(), turn, cam_from_world[:3, 3], lens, brown)
-        want = camera.intrinsics.px_from_cam(camera.cam_from_world.apply(_points()))
+        px, _ = cv2.projectPoints(points(), turn, cam_from_world[:3, 3], lens, brown)
+        want = camera.intrinsics.px_from_cam(camera.cam_from_world.apply(points()))
         np.testing.assert_allclose(px[:, 0], want, atol=0.01)
 
 
@@ -200,7 +119,7 @@ def test_laz_is_the_cloud_with_its_crs(out: Path) -> None:
     assert "19S" in cloud.header.parse_crs().name
     place = Transformer.from_crs("EPSG:32719", "EPSG:4326", always_xy=True).transform(cloud.x, cloud.y)
     found = [_enu(*one) for one in zip(*place, cloud.z, strict=True)]
-    np.testing.assert_allclose(found, _points(), atol=1.5 * MILLIMETRE)  # it counts in millimetres
+    np.testing.assert_allclose(found, points(), atol=1.5 * MILLIMETRE)  # it counts in millimetres
 
 
 @pytest.mark.parametrize("name", ["ortho.tif", "dsm.tif"])
@@ -234,19 +153,19 @@ def test_geojson_has_longitude_first(out: Path) -> None:
 
 
 def test_geopackage_opens_in_gdal_with_longitude_first(out: Path) -> None:
-    meta, _, points, fields = pyogrio.raw.read(out / "gpkg" / "cameras.gpkg", layer="cameras")
+    meta, _, marks, fields = pyogrio.raw.read(out / "gpkg" / "cameras.gpkg", layer="cameras")
     assert meta["crs"] == "EPSG:4979"
     assert "Point" in meta["geometry_type"]
-    _assert_cameras([struct.unpack("<ddd", bytes(one)[5:]) for one in points])
+    _assert_cameras([struct.unpack("<ddd", bytes(one)[5:]) for one in marks])
     columns = dict(zip(meta["fields"], fields, strict=True))
-    assert list(columns["image"]) == [camera.image for camera in _cameras()[:4]]
+    assert list(columns["image"]) == [camera.image for camera in cameras()[:4]]
     np.testing.assert_allclose(columns["ce90"], 2.1)
 
 
 def test_kml_without_a_geoid_gives_no_altitude(out: Path) -> None:
-    _, _, points, _ = pyogrio.raw.read(out / "kml" / "cameras.kml")
+    _, _, marks, _ = pyogrio.raw.read(out / "kml" / "cameras.kml")
     text = (out / "kml" / "cameras.kml").read_text()
-    assert len(points) == 4
+    assert len(marks) == 4
     assert ("clampToGround" in text) != ("absolute" in text)
 
 
@@ -265,7 +184,7 @@ def test_kml_writes_longitude_latitude_altitude() -> None:
 def test_ply_holds_metres_and_names_its_origin(out: Path) -> None:
     cloud = PlyData.read(out / "ply" / "pointcloud.ply")
     xyz = np.column_stack([cloud["vertex"][axis] for axis in "xyz"])
-    np.testing.assert_allclose(xyz, _points(), atol=1.5 * MILLIMETRE)
+    np.testing.assert_allclose(xyz, points(), atol=1.5 * MILLIMETRE)
     assert any("-33.5" in comment and "-70.25" in comment for comment in cloud.comments)
     assert any("ellipsoid" in comment for comment in cloud.comments)
     assert set(cloud["vertex"]["red"]) == {90}
@@ -294,7 +213,7 @@ def test_the_tileset_puts_the_mesh_on_the_globe(run: Path, out: Path) -> None:
 
 def test_exif_copies_keep_pixels_and_say_where(run: Path, out: Path) -> None:
     places = []
-    for camera in _cameras()[:3]:
+    for camera in cameras()[:3]:
         original = (run.parent / camera.image).read_bytes()
         copy = (out / "exif" / camera.image).read_bytes()
         assert original[original.index(b"\xff\xdb") :] == copy[copy.index(b"\xff\xdb") :]  # from the first table on
@@ -310,7 +229,7 @@ def test_exif_copies_keep_pixels_and_say_where(run: Path, out: Path) -> None:
         places.append((lon, lat, float(gps["GPSAltitude"])))
         assert b"GPSZAccuracy" in copy
     found = np.array([_enu(*place) for place in places])
-    np.testing.assert_allclose(found, [camera.centre for camera in _cameras()[:3]], atol=MILLIMETRE)
+    np.testing.assert_allclose(found, [camera.centre for camera in cameras()[:3]], atol=MILLIMETRE)
     assert not (out / "exif" / "air" / "p4.jpg").exists()
 
 
@@ -322,7 +241,7 @@ def test_what_is_no_jpeg_gets_a_sidecar(run: Path, out: Path) -> None:
     over, under = found["{http://ns.adobe.com/exif/1.0/}GPSAltitude"].split("/")
     lon_degrees, lon_minutes = found["{http://ns.adobe.com/exif/1.0/}GPSLongitude"].rstrip("W").split(",")
     place = (-int(lon_degrees) - float(lon_minutes) / 60, -int(degrees) - float(minutes) / 60, int(over) / int(under))
-    np.testing.assert_allclose(_enu(*place), _cameras()[3].centre, atol=MILLIMETRE)
+    np.testing.assert_allclose(_enu(*place), cameras()[3].centre, atol=MILLIMETRE)
 
 
 def test_below_the_ellipsoid_and_former_positions(run: Path) -> None:
@@ -349,7 +268,7 @@ def test_odm_reads_positions_and_control(out: Path) -> None:
     assert words[0][4:] == ["0", "0", "0", "2.1000", "3.8000"]
     head, *lines = (out / "odm" / "gcp_list.txt").read_text().splitlines()
     assert head == "EPSG:4326"
-    named = {camera.image.rpartition("/")[2]: camera for camera in _cameras()}
+    named = {camera.image.rpartition("/")[2]: camera for camera in cameras()}
     assert len({line.split()[6] for line in lines}) == 20
     for line in lines:
         lon, lat, height, u, v, image, _ = line.split()
