@@ -59,7 +59,7 @@ class Export:
     run: Annotated[Path, tyro.conf.Positional]
     """Folder of the run."""
     to: Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
-    """Formats, parted by commas: colmap, nerfstudio, laz, cog, geojson, gpkg, kml, ply, gltf, exif, odm, or all."""
+    """Formats, parted by commas: colmap, nerfstudio, laz, cog, geojson, gpkg, kml, ply, gltf, odm, exif, or all."""
     out: Path
     """Folder for the exports; each format gets a folder of its own in it."""
     quiet: bool = False

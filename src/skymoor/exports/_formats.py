@@ -176,7 +176,7 @@ FORMATS: dict[str, Callable[[Source, Path], str]] = {
     "kml": _kml,
     "ply": _ply,
     "gltf": _gltf,
-    "exif": _exif,
     "odm": _odm,
+    "exif": _exif,  # last: it alone cannot do without the photos
 }
 """What writes a format into an empty folder, and returns what its heights are."""
