@@ -76,6 +76,20 @@ class Evaluate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Export:
+    """Write a finished run in the formats of other programs; the photos themselves are never touched."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Folder of the run."""
+    to: Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
+    """Formats, parted by commas: colmap, nerfstudio, laz, cog, geojson, gpkg, kml, ply, gltf, odm, exif, or all."""
+    out: Path
+    """Folder for the exports; each format gets a folder of its own in it."""
+    quiet: bool = False
+    """Plain lines in place of progress bars."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Simulate:
     """Make a site with exact truth: photos, orthophoto, DSM, site.toml, truth.csv.
 

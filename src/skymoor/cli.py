@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import tyro
 
 from skymoor import __version__
-from skymoor.arguments import Completion, Demo, Doctor, Evaluate, Run, Simulate, Weights
+from skymoor.arguments import Completion, Demo, Doctor, Evaluate, Export, Run, Simulate, Weights
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 from skymoor.options import nearest
 
@@ -25,6 +25,7 @@ OF_THE_DISK = (
 COMMANDS = {
     "run": Run,
     "evaluate": Evaluate,
+    "export": Export,
     "simulate": Simulate,
     "demo": Demo,
     "weights": Weights,
@@ -77,6 +78,8 @@ def _done(chosen: Any) -> int:
 
     if isinstance(chosen, Evaluate):
         commands.evaluate(chosen)
+    elif isinstance(chosen, Export):
+        commands.export(chosen)
     elif isinstance(chosen, Simulate):
         commands.simulate(chosen)
     elif isinstance(chosen, Weights):

@@ -7,7 +7,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import skymoor.evaluate
-from skymoor.arguments import Demo, Doctor, Evaluate, Run, Simulate, Weights, WeightsFetch
+import skymoor.exports
+from skymoor.arguments import Demo, Doctor, Evaluate, Export, Run, Simulate, Weights, WeightsFetch
 from skymoor.config import Site, load_site, parse_option, site_from_arguments, with_options
 from skymoor.doctor import examine
 from skymoor.errors import InputError
@@ -101,6 +102,12 @@ def evaluate(command: Evaluate) -> None:
         store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})
         screen.show(evaluation_table(rows))
         screen.show(accuracy_table(rows))
+
+
+def export(command: Export) -> None:
+    """`skymoor export`."""
+    with Screen(plain=command.quiet) as screen:
+        skymoor.exports.export(Result.read(command.run), command.to, command.out, screen.note, screen.track)
 
 
 def simulate(command: Simulate) -> None:

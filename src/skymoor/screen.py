@@ -25,7 +25,7 @@ class Screen:
     """Shows progress: bars on a terminal, one line per finished stage elsewhere."""
 
     def __init__(self, *, plain: bool = False, for_scripts: bool = False) -> None:
-        """`plain` for lines in place of bars; `for_scripts` sends all but answers to stderr, and lets `answer` answer."""
+        """`plain` for lines in place of bars; `for_scripts` sends all but what `answer` says to stderr."""
         stream = sys.stderr if for_scripts else sys.stdout
         self._console = Console(file=stream, width=None if stream.isatty() else 160, highlight=False)
         self._for_scripts = for_scripts
@@ -71,7 +71,7 @@ class Screen:
         self._console.print(table)
 
     def answer(self, value: object) -> None:
-        """JSON on stdout, for scripts, and nothing for people."""
+        """JSON on stdout, where there are scripts to read it."""
         if self._for_scripts:
             sys.stdout.write(json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n")
 

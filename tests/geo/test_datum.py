@@ -70,14 +70,15 @@ def write_constant_geoid(path: Path, undulation_m: float) -> None:
 SCRIPT = """
 import json, sys, pyproj
 from skymoor.errors import InputError
-from skymoor.geo.datum import ellipsoidal_heights
+from skymoor.geo.datum import datum_from_ellipsoid, ellipsoidal_heights
 pyproj.datadir.append_data_dir(sys.argv[1])
 inside = ellipsoidal_heights([47.0, 48.0, 48.0], 8.3, [400.0, 0.0, float("nan")], "EPSG:3855").tolist()
 try:
     outside = str(ellipsoidal_heights(-30.0, 8.3, 400.0, "EPSG:3855"))
 except InputError as error:
     outside = str(error)
-print(json.dumps([inside, outside]))
+back = datum_from_ellipsoid([47.0, 48.0], 8.3, [447.5, 47.5], "EPSG:3855").tolist()
+print(json.dumps([inside, outside, back]))
 """
 
 
@@ -91,7 +92,8 @@ def test_installed_grid_shifts_heights(tmp_path: Path) -> None:
         check=True,
         env={"PYTHONPATH": str(Path(__file__).parents[2] / "src")},
     )
-    inside, outside = json.loads(done.stdout)
+    inside, outside, back = json.loads(done.stdout)
+    np.testing.assert_allclose(back, [400.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(inside, [447.5, 47.5, np.nan], atol=1e-6)
     assert "does not cover latitude -30" in outside
 

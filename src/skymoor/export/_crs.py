@@ -69,3 +69,8 @@ class MapFrame:
     @cached_property
     def _map_from_lon_lat(self) -> Transformer:
         return Transformer.from_crs("EPSG:4326", self.horizontal, always_xy=True)
+
+
+def enu_from_map(xyz_map: ArrayLike, frame: EnuFrame, crs: str) -> Array:
+    """ENU metres (n, 3) of map x, y and ellipsoidal height (n, 3) in a CRS. Raises `InputError` for an unknown CRS."""
+    return MapFrame(frame, crs).enu_from_map(xyz_map)

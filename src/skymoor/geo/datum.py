@@ -62,6 +62,18 @@ def ellipsoid_from_datum(vertical_datum: str, lat: ArrayLike, lon: ArrayLike) ->
     return heights
 
 
+def datum_from_ellipsoid(lat: ArrayLike, lon: ArrayLike, height: ArrayLike, vertical_datum: str) -> Array:
+    """The inverse of `ellipsoidal_heights`: heights (n,) in the datum of ellipsoidal heights (n,); raises the same."""
+    crs = _vertical_crs(vertical_datum)
+    lats, lons, own = _broadcast(lat, lon, height)
+    if crs is None:
+        return np.array(own)
+    moved = _transformer(crs, vertical_datum, lats, lons).transform(lons, lats, own, direction="INVERSE")[2]
+    if not np.isfinite(moved).all():
+        raise InputError(f"vertical datum {vertical_datum} ({crs.name}): its geoid grid does not cover the site")
+    return np.asarray(moved, dtype=np.float64)
+
+
 def vertical_datum_of(crs: Any) -> str | None:
     """The vertical datum that the CRS of a DSM carries: "ellipsoid", an EPSG code, WKT without one, or None.
 
