@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 
 from skymoor import __version__
-from skymoor.arguments import Demo, Evaluate, Run, Simulate, Weights
+from skymoor.arguments import Demo, Evaluate, Report, Run, Simulate, View, Weights
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 
 # What disks and paths are guilty of, wherever it comes up; the rest is an error of ours.
@@ -32,6 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         chosen = tyro.cli(
             Annotated[Run, tyro.conf.subcommand("run")]
             | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+            | Annotated[Report, tyro.conf.subcommand("report")]
+            | Annotated[View, tyro.conf.subcommand("view")]
             | Annotated[Simulate, tyro.conf.subcommand("simulate")]
             | Annotated[Demo, tyro.conf.subcommand("demo")]
             | tyro.conf.OmitArgPrefixes[Annotated[Weights, tyro.conf.subcommand("weights")]],
@@ -56,12 +58,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _done(chosen: Run | Evaluate | Simulate | Demo | Weights) -> int:
+def _done(chosen: Run | Evaluate | Report | View | Simulate | Demo | Weights) -> int:
     """The exit status of a command that raised nothing."""
     from skymoor import commands  # pycolmap, torch and OpenCV load here, not for --help
 
     if isinstance(chosen, Evaluate):
         commands.evaluate(chosen)
+    elif isinstance(chosen, Report):
+        commands.report(chosen)
+    elif isinstance(chosen, View):
+        commands.view(chosen)
     elif isinstance(chosen, Simulate):
         commands.simulate(chosen)
     elif isinstance(chosen, Weights):
