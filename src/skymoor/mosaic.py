@@ -75,9 +75,7 @@ def _reference(result: Result, max_pixels: float) -> tuple[Reference | None, str
     if missing is not None:
         return None, f"{missing}: the reference is not where the run found it; its pictures are left out"
     try:
-        found = read_reference(
-            ortho, dsm, files.get("vertical_datum"), result.covariance, max_pixels=max_pixels
-        )
+        found = read_reference(ortho, dsm, files.get("vertical_datum"), result.covariance, max_pixels=max_pixels)
     except InputError as error:
         return None, str(error)
     moved = abs(found.frame.lat_deg - result.frame.lat_deg) + abs(found.frame.lon_deg - result.frame.lon_deg)

@@ -11,7 +11,7 @@ from skymoor.export.cameras import (
     placed_cameras,
     unplaced_cameras,
 )
-from skymoor.export.pointcloud import pointcloud_las
+from skymoor.export.pointcloud import pointcloud_las, read_pointcloud
 from skymoor.export.raster import geotiffs
 
 __all__ = [
@@ -24,5 +24,6 @@ __all__ = [
     "geotiffs",
     "placed_cameras",
     "pointcloud_las",
+    "read_pointcloud",
     "unplaced_cameras",
 ]

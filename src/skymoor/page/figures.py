@@ -7,6 +7,8 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import ArrayLike
 
+from skymoor.page.words import MINUS
+
 WIDTH, HEIGHT, FOOT, BINS = 320, 150, 22, 31
 
 
@@ -29,7 +31,7 @@ def histogram(values: ArrayLike, label: str, unit: str = "m") -> Markup:
     marks = "".join(
         f'<text x="{x}" y="{HEIGHT - 6}" text-anchor="{anchor}">{text}</text>'
         for x, anchor, text in (
-            (2, "start", f"−{reach:.2g}"),
+            (2, "start", f"{MINUS}{reach:.2g}"),
             (WIDTH / 2, "middle", "0"),
             (WIDTH - 2, "end", f"+{reach:.2g} {unit}"),
         )
@@ -37,7 +39,7 @@ def histogram(values: ArrayLike, label: str, unit: str = "m") -> Markup:
     drawing = (
         '<figure class="histogram"><svg viewBox="0 0 {w} {h}" role="img" aria-label="{words}">'
         '<g class="bars">{bars}</g><path class="axis" d="M0 {floor}H{w}M{half} 0V{floor}"/>{marks}</svg>'
-        "<figcaption><b>{label}</b> median {middle} {unit}, σ {spread} {unit}</figcaption></figure>"
+        "<figcaption><b>{label}</b> median {middle} {unit}, spread {spread} {unit}</figcaption></figure>"
     )
     return Markup(drawing).format(
         w=WIDTH,
@@ -48,7 +50,7 @@ def histogram(values: ArrayLike, label: str, unit: str = "m") -> Markup:
         half=WIDTH / 2,
         marks=Markup(marks),
         label=label,
-        middle=f"{middle:+.2f}".replace("-", "−"),
+        middle=f"{middle:+.2f}".replace("-", MINUS),
         spread=f"{spread:.2f}",
         unit=unit,
     )

@@ -27,11 +27,17 @@ PICTURES = (
     ("renders", "nadir_height", "Heights", "Heights of the model, dark low and bright high"),
     ("renders", "nadir_confidence", "Confidence", "How far each part of the model can be believed, bright is sure"),
     ("matches", "overlay", "Checkerboard", "Registered model and reference in alternate fields: roads must run on"),
+    (
+        "matches",
+        "residuals",
+        "Residuals",
+        "What the transform leaves, arrows 50 times enlarged, red too high, blue too low",
+    ),
     ("matches", "matches", "Matches", "Render and reference with lines between matches, green where they agree"),
-    ("matches", "residuals", "Residuals", "What the transform leaves, arrows 50 times enlarged, red too high, blue too low"),
     ("matches", "walls", "Walls", "The same walls by photos from the ground, from the air, and in checkerboard"),
 )
-WIDE = {"matches", "walls"}
+WIDE, HALF = {"matches", "walls"}, {"overlay", "residuals"}
+SIDES_PX = {"third": 700, "half": 1000, "wide": 1400}
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +47,7 @@ class Picture:
     uri: str
     title: str
     alt: str
-    wide: bool = False
+    size: str  # "third" of the page's width, "half" or "wide"
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +94,10 @@ def _part(folder: Path, component: PlacedComponent, position: int) -> Part:
         return Part(component, *told)
     pictures = []
     for kind, name, title, alt in PICTURES:
-        wide = name in WIDE
-        uri = file_uri(folder / kind / f"{component.name}_{name}.png", 1400 if wide else 800)
+        size = "wide" if name in WIDE else "half" if name in HALF else "third"
+        uri = file_uri(folder / kind / f"{component.name}_{name}.png", SIDES_PX[size])
         if uri is not None:
-            pictures.append(Picture(uri, title, f"{alt} ({component.name})", wide))
+            pictures.append(Picture(uri, title, f"{alt} ({component.name})", size))
     return Part(component, *told, pictures, _residuals(folder / "matches" / f"{component.name}.npz"))
 
 
@@ -122,7 +128,9 @@ def _map(result: Result, mosaic: Mosaic) -> dict[str, Any] | None:
             "x": round(row.east, 2),
             "y": round(-row.north, 2),
             "row": row,
-            "colour": names.index(f"{row.set}_{row.component}") % COLOURS if f"{row.set}_{row.component}" in names else 0,
+            "colour": names.index(f"{row.set}_{row.component}") % COLOURS
+            if f"{row.set}_{row.component}" in names
+            else 0,
         }
         for row in result.cameras
         if row.east is not None and row.north is not None

@@ -8,6 +8,7 @@ from typing import Any
 
 from skymoor.result import PlacedComponent
 
+NONE, MINUS = "\N{EN DASH}", "\N{MINUS SIGN}"
 GROUND_ADVICE = (
     "Take photos that show the same walls as the airborne ones, and more of them that overlap; "
     "the picture of the walls below shows what was compared."
@@ -66,12 +67,12 @@ def flattened(tree: object, name: str = "") -> Iterator[tuple[str, object]]:
 
 def number(value: object, digits: int = 2) -> str:
     """For tables: a dash where there is none."""
-    return f"{value:.{digits}f}".replace("-", "−") if isinstance(value, int | float) else "–"
+    return f"{value:.{digits}f}".replace("-", MINUS) if isinstance(value, int | float) else NONE
 
 
 def share(value: object) -> str:
     """A part of one in percent."""
-    return f"{value:.0%}" if isinstance(value, int | float) else "–"
+    return f"{value:.0%}" if isinstance(value, int | float) else NONE
 
 
 def duration(seconds: float) -> str:
@@ -85,8 +86,8 @@ def facts(component: PlacedComponent) -> list[tuple[str, str]]:
     """The figures behind the verdict, each with its name."""
     one: Mapping[str, Any] = component.summary
     told = [
-        ("cameras", str(one.get("n_cameras", "–"))),
-        ("matches that agree", f"{one.get('n_inliers', '–')} of {one.get('n_matches', '–')}"),
+        ("cameras", str(one.get("n_cameras", NONE))),
+        ("matches that agree", f"{one.get('n_inliers', NONE)} of {one.get('n_matches', NONE)}"),
         ("misfit (RMSE)", f"{number(one.get('rmse_m'))} m"),
         ("reprojection", f"{number(one.get('reprojection_px'))} px"),
         ("tilt", f"{number(one.get('tilt_deg'))}°"),
