@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import io
 import time
 import webbrowser
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from html import escape
 from typing import Any
 
@@ -51,7 +53,8 @@ def view_run(result: Result, *, port: int, browser: bool, note: Callable[[str], 
 def serve(result: Result, scene: Scene, port: int) -> Any:
     """A running viser server of the scene; the caller stops it."""
     viser = require("viser", "view")
-    server = viser.ViserServer(host=HOST, port=port, label=f"skymoor: {result.summary.get('site', '')}", verbose=False)
+    with redirect_stdout(io.StringIO()):  # it greets whatever it is told; our own line says the address
+        server = viser.ViserServer(host=HOST, port=port, label=f"skymoor: {result.summary.get('site', '')}")
     server.scene.set_up_direction("+z")
     _aim(server, scene)
     with server.gui.add_folder("Layers"):
@@ -90,9 +93,13 @@ def _aim(server: Any, scene: Scene) -> None:
     places = [one.position for frustums in scene.cameras.values() for one in frustums]
     points = np.array(places) if places else scene.layers[0].points.astype(np.float64)
     middle, reach = np.median(points, axis=0), float(np.ptp(points[:, :2], axis=0).max()) + 30.0
-    server.initial_camera.position = tuple(middle + [0.0, -0.9 * reach, 0.6 * reach])
-    server.initial_camera.look_at = tuple(middle - [0.0, 0.0, 0.3 * reach])
-    server.initial_camera.up = (0.0, 0.0, 1.0)
+
+    def look(client: Any) -> None:
+        client.camera.up_direction = (0.0, 0.0, 1.0)
+        client.camera.position = tuple(middle + [0.0, -0.9 * reach, 0.6 * reach])
+        client.camera.look_at = tuple(middle - [0.0, 0.0, 0.3 * reach])
+
+    server.on_client_connect(look)
 
 
 class _Told:
