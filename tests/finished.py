@@ -36,7 +36,7 @@ def finished_run(folder: Path, *, cameras: int = 9, registered: bool = True) -> 
     reference = read_reference(folder / "ortho.tif", folder / "dsm.tif", "ellipsoid", np.diag([1.0, 1.0, 2.0]))
     model = np.where(np.hypot(*np.indices((80, 80)) - 40.0) < 25, height + 0.5, np.nan).astype(np.float32)
     if registered:
-        _write_model(run, rgb, model, grid, reference.frame)
+        _write_model(run, rgb, model, grid, frame)
     _write_pictures(run, rgb, rng)
     rows = _rows(folder, reference.frame, cameras, registered=registered)
     with (run / "cameras.csv").open("w", encoding="utf-8", newline="") as file:
