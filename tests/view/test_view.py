@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import signal
 import socket
+import subprocess
+import sys
 import urllib.request
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,7 +19,7 @@ from skymoor.cli import main
 from skymoor.errors import InputError
 from skymoor.geo.grid import Grid
 from skymoor.result import Result
-from skymoor.view import draped, scene_of, serve
+from skymoor.view import draped, scene_of
 
 
 def test_everything_lies_in_the_same_metres(tmp_path: Path) -> None:
@@ -59,16 +62,20 @@ def test_a_port_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.skipif(find_spec("viser") is None, reason="viser is not installed: pip install skymoor[view]")
-@pytest.mark.filterwarnings("default")  # of the libraries that viser brings
-def test_the_viewer_answers(tmp_path: Path) -> None:
-    result = Result.read(finished_run(tmp_path))
+def test_the_viewer_answers_until_it_is_interrupted(tmp_path: Path) -> None:
+    run = finished_run(tmp_path)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    server = serve(result, scene_of(result), port)
-    try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{server.get_port()}", timeout=20) as answer:
-            assert answer.status == 200
-            assert b"<html" in answer.read().lower()
-    finally:
-        server.stop()
+    # A process of its own: viser leaves sockets and an event loop to the end of the process.
+    code = f"from skymoor.cli import main; main(['view', {str(run)!r}, '--port', '{port}', '--no-open'])"
+    with subprocess.Popen([sys.executable, "-u", "-c", code], stdout=subprocess.PIPE, text=True) as viewer:
+        try:
+            assert viewer.stdout is not None
+            assert f"http://127.0.0.1:{port}: the viewer" in viewer.stdout.readline()
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=20) as answer:
+                assert b"<html" in answer.read().lower()
+            viewer.send_signal(signal.SIGINT)
+            assert viewer.wait(20) == 0
+        finally:
+            viewer.kill()
