@@ -89,6 +89,26 @@ class Export:
     """Plain lines in place of progress bars."""
 
 
+@dataclass(frozen=True)
+class Report:
+    """Write report.html, the page about a finished run, again."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Folder of the run."""
+
+
+@dataclass(frozen=True)
+class View:
+    """Look at a finished run in three dimensions: needs skymoor[view]."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Folder of the run."""
+    port: int = 8080
+    """Of the viewer on this machine; the next free one is taken if it is not free."""
+    open: bool = True
+    """Open the browser; --no-open only says the address."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Simulate:
     """Make a site with exact truth: photos, orthophoto, DSM, site.toml, truth.csv.

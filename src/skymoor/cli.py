@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import tyro
 
 from skymoor import __version__
-from skymoor.arguments import Completion, Demo, Doctor, Evaluate, Export, Run, Simulate, Weights
+from skymoor.arguments import Completion, Demo, Doctor, Evaluate, Export, Report, Run, Simulate, View, Weights
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 from skymoor.options import nearest
 
@@ -26,6 +26,8 @@ COMMANDS = {
     "run": Run,
     "evaluate": Evaluate,
     "export": Export,
+    "report": Report,
+    "view": View,
     "simulate": Simulate,
     "demo": Demo,
     "weights": Weights,
@@ -80,6 +82,10 @@ def _done(chosen: Any) -> int:
         commands.evaluate(chosen)
     elif isinstance(chosen, Export):
         commands.export(chosen)
+    elif isinstance(chosen, Report):
+        commands.report(chosen)
+    elif isinstance(chosen, View):
+        commands.view(chosen)
     elif isinstance(chosen, Simulate):
         commands.simulate(chosen)
     elif isinstance(chosen, Weights):

@@ -8,12 +8,24 @@ from pathlib import Path
 
 import skymoor.evaluate
 import skymoor.exports
-from skymoor.arguments import Demo, Doctor, Evaluate, Export, Run, Simulate, Weights, WeightsFetch
+from skymoor.arguments import (
+    Demo,
+    Doctor,
+    Evaluate,
+    Export,
+    Report,
+    Run,
+    Simulate,
+    View,
+    Weights,
+    WeightsFetch,
+)
 from skymoor.config import Site, load_site, parse_option, site_from_arguments, with_options
 from skymoor.doctor import examine
 from skymoor.errors import InputError
 from skymoor.job import Job
 from skymoor.log import logged
+from skymoor.page import report_page
 from skymoor.pipeline import register_airborne
 from skymoor.pipeline_ground import register_ground_sets
 from skymoor.plan import plan
@@ -28,8 +40,10 @@ from skymoor.simulate.world import World
 from skymoor.store import PRODUCTS, Store, check_photos, has_metadata, name_prefix, read_cameras_csv, read_truth_csv
 from skymoor.tables import accuracy_table, checks_table, evaluation_table, plan_table, summary_table, weights_table
 from skymoor.types import Reference
+from skymoor.view import view_run
 from skymoor.weights import KNOWN, fetch, weights_folder
 
+PAGE = "report.html"
 LARGEST_SEED = 2**31 - 1  # COLMAP's
 
 # Small enough for a few minutes on two cores, large enough for every step to have its work.
@@ -86,7 +100,8 @@ def run(command: Run) -> bool:
         ]
         summary = write_products(sets, site, reference, options, command.seed, store)
         screen.show(summary_table(summary))
-        screen.note(f"results in {command.out}")
+        _write_page(command.out, store)
+        screen.note(f"results in {command.out}; to read: {command.out / PAGE}")
         screen.answer({"out": store.root, "site": summary["site"], "sets": summary["sets"]})
     return all(item["status"] != NOT_REGISTERED for item in summary["sets"])
 
@@ -100,6 +115,7 @@ def evaluate(command: Evaluate) -> None:
     with Screen(plain=True, for_scripts=command.json) as screen, Store.open(command.run) as store:
         screen.answer({"rows": rows})
         store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})
+        _write_page(command.run, store)
         screen.show(evaluation_table(rows))
         screen.show(accuracy_table(rows))
 
@@ -108,6 +124,20 @@ def export(command: Export) -> None:
     """`skymoor export`."""
     with Screen(plain=command.quiet) as screen:
         skymoor.exports.export(Result.read(command.run), command.to, command.out, screen.note, screen.track)
+
+
+def report(command: Report) -> None:
+    """`skymoor report`."""
+    Result.read(command.run)  # or the folder would be made into that of a run
+    with Screen(plain=True) as screen, Store.open(command.run) as store:
+        screen.note(str(_write_page(command.run, store)))
+
+
+def view(command: View) -> None:
+    """`skymoor view`."""
+    result = Result.read(command.run)
+    with Screen(plain=True) as screen:
+        view_run(result, port=command.port, browser=command.open, note=screen.note)
 
 
 def simulate(command: Simulate) -> None:
@@ -125,7 +155,8 @@ def demo(command: Demo) -> bool:
     evaluate(Evaluate(run=result, truth=site / "truth.csv"))
     with Screen(plain=True) as screen:
         screen.note(
-            f"look at {result / 'renders'} and {result / 'matches'}; all figures are in {result / 'summary.json'}"
+            f"read {result / PAGE} in a browser; pictures are in {result / 'renders'} and {result / 'matches'}, "
+            f"all figures in {result / 'summary.json'}"
         )
     return registered
 
@@ -145,6 +176,10 @@ def weights(command: Weights) -> None:
             screen.note(f"{file.path}: {'was here' if file.was_there else 'fetched'}{digest}")
         if wanted.to is not None and wanted.to != weights_folder():
             screen.note(f"engines find it there if SKYMOOR_WEIGHTS={wanted.to}")
+
+
+def _write_page(folder: Path, store: Store) -> Path:
+    return store.write_text(PAGE, report_page(Result.read(folder)))
 
 
 def doctor(command: Doctor) -> bool:

@@ -29,6 +29,7 @@ from skymoor.geo.accuracy import ce90_m, le90_m
 from skymoor.geometry.similarity import Similarity
 from skymoor.job import Placed
 from skymoor.overlay import lay_on_reference
+from skymoor.provenance import provenance
 from skymoor.register import CameraAccuracy, camera_accuracy
 from skymoor.report import confidence_picture, height_picture, match_picture, overlay_picture, residual_picture
 from skymoor.settings import MatchOptions, Options
@@ -80,7 +81,7 @@ def write_products(
     """Write all products of a run; returns the summary."""
     rows = [row for found in sets for row in camera_rows(found, reference)]
     # Of the cameras of a former run; the summary comes back last, so that none describes products of another run.
-    for name in ("evaluation.json", "summary.json"):
+    for name in ("report.html", "evaluation.json", "summary.json"):
         store.remove(name)
     store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
     store.write_json("cameras.geojson", cameras_geojson(rows))
@@ -101,6 +102,9 @@ def write_products(
             "pixel_m": reference.grid.pixel_m,
         },
         "enu_origin": georeference(reference.frame, Similarity.identity())["enu_origin"],
+        "provenance": provenance(
+            site.reference.ortho, site.reference.dsm, {found.name: found.folder for found in sets}, options
+        ),
         "sets": [_set_summary(found, reference) for found in sets],
         "stages": [asdict(record) for record in store.records],
     }
@@ -224,6 +228,7 @@ def _write_pictures(name: str, item: Placed, reference: Reference, options: Matc
     picture = match_picture(render.rgb, reference.rgb, pixels, found.inliers)
     store.write_png(f"matches/{name}_matches.png", picture)
     inliers = np.zeros(len(pixels), bool) if found.inliers is None else found.inliers
+    residuals = np.full((len(pixels), 3), np.nan) if found.residuals_m is None else found.residuals_m
     store.write_npz(
         f"matches/{name}.npz",
         px_render=pixels.px_a,
@@ -232,14 +237,15 @@ def _write_pictures(name: str, item: Placed, reference: Reference, options: Matc
         xyz_level=item.matches.xyz_level,
         xyz_enu=item.matches.xyz_enu,
         inliers=inliers,
+        residuals_m=residuals,
     )
     if found.enu_from_level is None or found.residuals_m is None:
         return
     pixel_m = reference.grid.pixel_m
     laid, _ = lay_on_reference(render, found, reference, options.min_height_confidence)
     store.write_png(f"matches/{name}_overlay.png", overlay_picture(laid, reference.rgb, pixel_m=pixel_m))
-    residuals = residual_picture(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
-    store.write_png(f"matches/{name}_residuals.png", residuals)
+    arrows = residual_picture(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
+    store.write_png(f"matches/{name}_residuals.png", arrows)
 
 
 def _write_rasters(placed: Sequence[Placed], reference: Reference, options: MatchOptions, store: Store) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal
 
 from skymoor.choice import files_of
@@ -157,13 +158,14 @@ class Options:
     ground: GroundSetOptions = field(default_factory=GroundSetOptions)
 
 
-def check_engines(options: Options, *, ground: bool = True) -> None:
+def check_engines(options: Options, *, ground: bool = True) -> tuple[Path, ...]:
     """Whether the chosen engines can run, before an hour of work; those for ground photos only if there are any.
+
+    Returns the files of weights that they will read.
 
     Raises:
         BackendUnavailable: a library, weights or a device are missing.
         InputError: nothing is where weights are said to be.
     """
-    files_of(options.reconstruct, options.labels, options.densify, options.model.ranking, options.match.dense)
-    if ground:
-        files_of(*options.ground.engines)
+    air = (options.reconstruct, options.labels, options.densify, options.model.ranking, options.match.dense)
+    return files_of(*air, *(options.ground.engines if ground else ()))

@@ -20,7 +20,7 @@ from skymoor.export.kml import cameras_kml
 from skymoor.export.nerfstudio import nerfstudio_transforms
 from skymoor.export.odm import odm_gcp_list, odm_geo
 from skymoor.export.ply import pointcloud_ply
-from skymoor.export.pointcloud import pointcloud_las
+from skymoor.export.pointcloud import pointcloud_las, read_pointcloud
 from skymoor.export.raster import geotiffs
 
 __all__ = [
@@ -44,6 +44,7 @@ __all__ = [
     "pointcloud_las",
     "pointcloud_ply",
     "position_xmp",
+    "read_pointcloud",
     "tileset",
     "unplaced_cameras",
     "write_cog",

@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 
 import laspy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skymoor.errors import InputError
 from skymoor.export._crs import MapFrame
 from skymoor.geo.frame import EnuFrame
+
+Array32 = NDArray[np.float32]
 
 POINT_FORMAT_WITH_COLOUR = 7
 MILLIMETRE_IN_DEGREES = 1e-8
@@ -40,3 +44,21 @@ def pointcloud_las(points_enu: ArrayLike, colours: NDArray[np.uint8], frame: Enu
     out = io.BytesIO()
     cloud.write(out, do_compress=True)
     return out.getvalue()
+
+
+def read_pointcloud(path: Path, frame: EnuFrame, max_points: int) -> tuple[Array32, NDArray[np.uint8]]:
+    """Positions (n, 3) in ENU metres and colours (n, 3) of a file of `pointcloud_las`, evenly thinned out.
+
+    Raises `InputError` when it cannot be read.
+    """
+    try:
+        cloud = laspy.read(path)
+        step = max(1, -(-len(cloud.points) // max_points))
+        crs = cloud.header.parse_crs()
+        if crs is None:
+            raise ValueError("it has no coordinate reference system")
+        xyz = MapFrame(frame, crs.to_wkt()).enu_from_map(np.asarray(cloud.xyz)[::step])
+        colours = np.column_stack([np.asarray(cloud[name])[::step] for name in ("red", "green", "blue")])
+    except (OSError, ValueError, RuntimeError, laspy.errors.LaspyException) as error:
+        raise InputError(f"{path}: no point cloud of a run ({error}); run skymoor run again") from error
+    return xyz.astype(np.float32), (colours // 257).astype(np.uint8)

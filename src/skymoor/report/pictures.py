@@ -87,6 +87,15 @@ def residual_picture(reference: Image, px: Array, residuals_m: Array, inliers: M
     return canvas
 
 
+def difference_picture(metres: Array32, *, reach_m: float = 3.0) -> Image:
+    """Heights (h, w) that differ: blue is too low, white right, red too high by `reach_m`; dark grey where unknown."""
+    known = np.isfinite(metres)
+    share = np.clip(np.where(known, metres, 0) / reach_m, -1, 1)[..., None]
+    white, red, blue = np.array([246.0] * 3), np.array([200.0, 36.0, 28.0]), np.array([28.0, 78.0, 200.0])
+    colour = white + np.abs(share) * (np.where(share > 0, red, blue) - white)
+    return np.where(known[..., None], colour, 48).astype(np.uint8)
+
+
 def _diverging(up: float) -> tuple[int, int, int]:
     share = float(np.clip(up, -1, 1))
     fade = round(255 * (1 - abs(share)))

@@ -1,0 +1,105 @@
+// The map moves and tells; the slider uncovers. Without this script all figures are still there.
+(() => {
+  "use strict";
+  const chart = document.getElementById("chart");
+  const slider = document.getElementById("slider");
+  if (slider) {
+    const pair = document.querySelector(".pair");
+    const uncover = () => pair.style.setProperty("--x", slider.value + "%");
+    const follow = (event) => {
+      const box = pair.getBoundingClientRect();
+      slider.value = String((100 * (event.clientX - box.left)) / box.width);
+      uncover();
+    };
+    slider.addEventListener("input", uncover);
+    pair.addEventListener("pointerdown", follow);
+    pair.addEventListener("pointermove", (event) => { if (event.buttons) follow(event); });
+    pair.addEventListener("dragstart", (event) => event.preventDefault());
+    uncover();
+  }
+  if (!chart) return;
+  const frame = chart.parentElement;
+  const tip = document.getElementById("tip");
+  const ruler = document.getElementById("ruler");
+  const whole = chart.dataset.box.split(" ").map(Number);
+  let box = whole.slice();
+  const scale = () => Math.max(box[2] / chart.clientWidth, box[3] / chart.clientHeight); // metres per pixel
+  const show = () => {
+    chart.setAttribute("viewBox", box.join(" "));
+    const wish = 110 * scale();
+    const power = 10 ** Math.floor(Math.log10(wish));
+    const metres = [5, 2, 1].map((digit) => digit * power).find((one) => one <= wish) || power;
+    ruler.style.width = metres / scale() + "px";
+    ruler.firstElementChild.textContent = metres >= 1000 ? metres / 1000 + " km" : metres + " m";
+  };
+  const at = (event) => {
+    const inside = chart.getBoundingClientRect();
+    const [cx, cy] = [inside.left + inside.width / 2, inside.top + inside.height / 2];
+    return [box[0] + box[2] / 2 + (event.clientX - cx) * scale(), box[1] + box[3] / 2 + (event.clientY - cy) * scale()];
+  };
+  const zoom = (factor, centre) => {
+    if (!factor) box = whole.slice();
+    else {
+      const [x, y] = centre || [box[0] + box[2] / 2, box[1] + box[3] / 2];
+      const bounded = Math.min(Math.max(factor, (whole[2] / 400) / box[2]), (whole[2] * 2) / box[2]);
+      box = [x - (x - box[0]) * bounded, y - (y - box[1]) * bounded, box[2] * bounded, box[3] * bounded];
+    }
+    show();
+  };
+  document.querySelectorAll("[data-zoom]").forEach((one) => one.addEventListener("click", () => zoom(Number(one.dataset.zoom))));
+  // The wheel belongs to the page until the map is in use: nobody shall be caught while scrolling past.
+  chart.addEventListener("wheel", (event) => {
+    if (!event.ctrlKey && document.activeElement !== chart) return;
+    event.preventDefault();
+    zoom(1.0016 ** event.deltaY, at(event));
+  }, { passive: false });
+  const held = new Map();
+  chart.addEventListener("pointerdown", (event) => {
+    chart.focus({ preventScroll: true });
+    held.set(event.pointerId, [event.clientX, event.clientY]);
+    if (!event.target.dataset.name) chart.setPointerCapture(event.pointerId);
+  });
+  chart.addEventListener("pointermove", (event) => {
+    const before = held.get(event.pointerId);
+    if (!before) return;
+    if (held.size === 2) {
+      const other = [...held].find(([id]) => id !== event.pointerId)[1];
+      const away = (one) => Math.hypot(one[0] - other[0], one[1] - other[1]) || 1;
+      zoom(away(before) / away([event.clientX, event.clientY]), at({ clientX: other[0], clientY: other[1] }));
+    } else {
+      box[0] -= (event.clientX - before[0]) * scale();
+      box[1] -= (event.clientY - before[1]) * scale();
+      show();
+    }
+    held.set(event.pointerId, [event.clientX, event.clientY]);
+  });
+  ["pointerup", "pointercancel"].forEach((name) => chart.addEventListener(name, (event) => held.delete(event.pointerId)));
+  chart.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    if (step) { box[0] += (step[0] * box[2]) / 10; box[1] += (step[1] * box[3]) / 10; show(); }
+    else if (event.key === "+" || event.key === "=") zoom(0.7);
+    else if (event.key === "-") zoom(1.43);
+    else return;
+    event.preventDefault();
+  });
+  const tell = (event) => {
+    document.querySelectorAll(".dot.on").forEach((one) => one.classList.remove("on"));
+    const dot = event.target.closest("[data-name]");
+    tip.hidden = !dot;
+    if (!dot) return;
+    dot.classList.add("on");
+    const name = document.createElement("b");
+    name.textContent = dot.dataset.name;
+    tip.replaceChildren(name, dot.dataset.says);
+    const outer = frame.getBoundingClientRect();
+    tip.style.left = Math.max(0, Math.min(event.clientX - outer.left + 14, outer.width - tip.offsetWidth)) + "px";
+    tip.style.top = Math.max(0, Math.min(event.clientY - outer.top + 14, outer.height - tip.offsetHeight)) + "px";
+  };
+  chart.addEventListener("pointerover", tell);
+  chart.addEventListener("click", tell);
+  chart.addEventListener("pointerleave", tell);
+  document.getElementById("rings").addEventListener("change", (event) => frame.classList.toggle("no-rings", !event.target.checked));
+  document.getElementById("relative").addEventListener("change", (event) => frame.classList.toggle("show-relative", event.target.checked));
+  window.addEventListener("resize", show);
+  show();
+})();
