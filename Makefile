@@ -6,7 +6,7 @@ STAMP := $(VENV)/.stamp
 SOURCES := src tests benchmarks
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check format clean
+.PHONY: help setup demo test check wheel format clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -36,6 +36,16 @@ check: $(STAMP) ## what CI runs: format, lint, types, import contracts, tests
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -n 2
+
+wheel: $(STAMP) ## build the wheel, install it where nothing else is, and run the demo from there
+	rm -rf build dist
+	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+	$(PYTHON) -m venv build/empty
+	@# The lock bounds what the wheel asks for: the newest PyTorch would bring gigabytes of CUDA along.
+	build/empty/bin/python -m pip install --quiet --constraint requirements.lock dist/skymoor-*.whl
+	cd build && empty/bin/python -c 'import skymoor; assert "empty" in skymoor.__file__, skymoor.__file__'
+	build/empty/bin/skymoor doctor
+	build/empty/bin/skymoor demo --out build/demo --quiet
 
 format: $(STAMP) ## rewrite the sources in the house format
 	$(BIN)/ruff format $(SOURCES)

@@ -43,7 +43,7 @@ def finished_run(folder: Path, *, cameras: int = 9, registered: bool = True) -> 
         writer = csv.DictWriter(file, CAMERA_COLUMNS)
         writer.writeheader()
         writer.writerows(cameras_table(rows))
-    summary = _summary(folder, reference.frame, cameras, registered=registered)
+    summary = summary_of_run(folder, reference.frame, cameras, registered=registered)
     (run / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     return run
 
@@ -76,7 +76,7 @@ def _rows(folder: Path, frame: EnuFrame, count: int, *, registered: bool) -> lis
     return [*rows, CameraRow("wall/1.jpg", "ground0", 0, "NOT_REGISTERED")]
 
 
-def _summary(folder: Path, frame: EnuFrame, cameras: int, *, registered: bool) -> dict[str, Any]:
+def summary_of_run(folder: Path, frame: EnuFrame, cameras: int, *, registered: bool) -> dict[str, Any]:
     status = "REGISTERED" if registered else "NOT_REGISTERED"
     air: dict[str, Any] = {
         **{"component": 0, "status": status, "reason": "" if registered else "another place is nearly as good"},

@@ -6,6 +6,8 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from jinja2 import TemplateError
+
 import skymoor.evaluate
 import skymoor.exports
 from skymoor.arguments import (
@@ -115,7 +117,7 @@ def evaluate(command: Evaluate) -> None:
     with Screen(plain=True, for_scripts=command.json) as screen, Store.open(command.run) as store:
         screen.answer({"rows": rows})
         store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})
-        _write_page(command.run, store)
+        _rewrite_page(command.run, store)
         screen.show(evaluation_table(rows))
         screen.show(accuracy_table(rows))
 
@@ -130,7 +132,7 @@ def report(command: Report) -> None:
     """`skymoor report`."""
     Result.read(command.run)  # or the folder would be made into that of a run
     with Screen(plain=True) as screen, Store.open(command.run) as store:
-        screen.note(str(_write_page(command.run, store)))
+        screen.note(str(_rewrite_page(command.run, store)))
 
 
 def view(command: View) -> None:
@@ -180,6 +182,16 @@ def weights(command: Weights) -> None:
 
 def _write_page(folder: Path, store: Store) -> Path:
     return store.write_text(PAGE, report_page(Result.read(folder)))
+
+
+def _rewrite_page(folder: Path, store: Store) -> Path:
+    """The same of a folder in which anyone may have written since."""
+    try:
+        return _write_page(folder, store)
+    except (LookupError, TypeError, ValueError, AttributeError, TemplateError) as error:
+        raise InputError(
+            f"{folder / 'summary.json'}: is damaged or of another version ({error}); run skymoor run again"
+        ) from error
 
 
 def doctor(command: Doctor) -> bool:

@@ -14,10 +14,12 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from finished import summary_of_run
 from skymoor.arguments import Evaluate
 from skymoor.commands import evaluate
 from skymoor.config import load_site, parse_option, with_options
 from skymoor.errors import InputError
+from skymoor.geo.frame import EnuFrame
 from skymoor.settings import Options
 from skymoor.store import read_cameras_csv, read_truth_csv
 from tiny_site import SITE, make_site
@@ -139,11 +141,9 @@ def test_options_of_the_command_line(text: str) -> None:
         with_options(Options(), dict([parse_option(text)]))
 
 
-SUMMARY = {
-    "enu_origin": {"lat": 47.0, "lon": 8.0, "height": 500.0},
-    "reference": {"covariance_m2": np.eye(3).tolist()},
-    "sets": [{"set": "airborne", "components": [{"component": 0, "scene_centre_enu": [0.0, 0.0, 0.0]}]}],
-}
+SUMMARY = summary_of_run(Path("run"), EnuFrame(47.0, 8.0, 500.0), 2, registered=True)
+SUMMARY["reference"]["covariance_m2"] = np.eye(3).tolist()
+SUMMARY["sets"][0]["components"][0]["scene_centre_enu"] = [0.0, 0.0, 0.0]
 
 
 def finished(folder: Path) -> Path:
