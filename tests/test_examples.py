@@ -10,10 +10,11 @@ from typing import Any
 
 import pytest
 
-import small_run
 from exported_run import write_run
 from finished import finished_run
+from skymoor.options import parse_option
 from skymoor.simulate.site import Site
+from small_run import FASTER
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
@@ -47,10 +48,10 @@ def test_exports_mean_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.e2e
 def test_placing_photos(finished: Path, small_site: Site, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Goes on from a finished run of the same site with the same options, which is what makes it quick."""
-    module = example("place_photos")
-    told = [f"{name}={value}" for name, value in module.FASTER.items()]
-    assert told == list(small_run.FASTER[1::2])
     shutil.copytree(finished, tmp_path / "result")
-    module.main(tmp_path, small_site.folder / "airborne.toml")
+    stages = {path.name for path in (tmp_path / "result" / "stages").iterdir()}
+    options = dict(map(parse_option, FASTER[1::2]))
+    example("place_photos").main(tmp_path, small_site.folder / "airborne.toml", options)
+    assert stages == {path.name for path in (tmp_path / "result" / "stages").iterdir()}
     shown = capsys.readouterr().out
     assert "airborne_0: CE90" in shown and "m off, on average" in shown

@@ -17,17 +17,17 @@ SMALL = SiteOptions(
     groups=0,
     security=0,
     photo_width=400,
-    reference_width_m=150.0,
+    reference_width_m=120.0,
     ortho_pixel_m=0.5,
 )
-# Whoever knows how high the drone flew saves time. More features than this the small photos hardly have.
-FASTER = {"match.min_height_m": 42, "match.max_height_m": 100, "reconstruct.matcher.sift.max_features": 2500}
+# Whoever knows how high the drone flew saves time, for every height is searched. Small photos hold few features anyway.
+FASTER = {"match.min_height_m": 60, "match.max_height_m": 90, "reconstruct.matcher.sift.max_features": 2500}
 
 
-def main(folder: Path, site: Path | None = None) -> None:
+def main(folder: Path, site: Path | None = None, options: dict[str, float] = FASTER) -> None:
     """Results go to FOLDER/result; without a `site` that is there already, one is made in FOLDER/site."""
     site = site or write_site(World(SMALL), folder / "site").toml
-    result = skymoor.register(site, out=folder / "result", options=FASTER, seed=3)
+    result = skymoor.register(site, out=folder / "result", options=options, seed=3)
     for component in result.components:
         if component.registered:
             print(f"{component.name}: CE90 {component.ce90_m:.1f} m, LE90 {component.le90_m:.1f} m")
