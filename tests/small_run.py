@@ -18,6 +18,8 @@ FASTER = (
     "match.max_height_m=100",
     "--set",
     "reconstruct.matcher.sift.max_features=2500",
+    "--set",
+    "match.decoys.count=2",
 )
 SEED = 3
 

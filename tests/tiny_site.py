@@ -95,4 +95,6 @@ def assert_refused(site: Path, case: Case, shown: Callable[[], str], *more: str)
         assert word in lines[0], lines
     after = content(site)
     assert {name: after.get(name) for name in before} == before
-    assert all(name.startswith(("out/stages/", "out/.lock")) for name in after.keys() - before.keys()), after.keys()
+    assert all(name.startswith(("out/stages/", "out/.lock", "out/run.log")) for name in after.keys() - before.keys()), (
+        after.keys()
+    )

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from skymoor import __version__
+from skymoor.errors import SkymoorError
 
 LOG = logging.getLogger("skymoor")
 FORMAT = "%(asctime)s %(levelname)s %(message)s"
@@ -37,6 +38,9 @@ def logged(path: Path, arguments: Sequence[str] | None = None) -> Iterator[None]
         LOG.info("done")
     except KeyboardInterrupt:
         LOG.warning("stopped by the user")
+        raise
+    except SkymoorError as error:
+        LOG.error("%s", error)  # says all there is to say
         raise
     except Exception:
         LOG.exception("ended by an error")
