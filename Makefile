@@ -3,10 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
-SOURCES := src tests benchmarks
+SOURCES := src tests benchmarks docs
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check wheel format clean
+.PHONY: help setup demo test check docs wheel format clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -30,11 +30,12 @@ demo: $(STAMP) ## simulate a small site, place it on the Earth, compare with the
 test: $(STAMP) ## run the tests
 	$(BIN)/python -m pytest -n 2
 
-check: $(STAMP) ## what CI runs: format, lint, types, import contracts, tests
+check: $(STAMP) ## what CI runs: format, lint, types, import contracts, documentation, tests
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(MAKE) --no-print-directory docs
 	$(BIN)/python -m pytest -n 2
 
 wheel: $(STAMP) ## build the wheel, install it where nothing else is, and run the demo from there
@@ -47,10 +48,13 @@ wheel: $(STAMP) ## build the wheel, install it where nothing else is, and run th
 	build/empty/bin/skymoor doctor
 	build/empty/bin/skymoor demo --out build/demo --quiet
 
+docs: $(STAMP) ## build the documentation into site/; needs no network
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
 format: $(STAMP) ## rewrite the sources in the house format
 	$(BIN)/ruff format $(SOURCES)
 	$(BIN)/ruff check --fix $(SOURCES)
 
 clean: ## remove caches and .venv
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis build src/*.egg-info
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis build site src/*.egg-info
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +

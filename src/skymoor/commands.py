@@ -8,7 +8,6 @@ from pathlib import Path
 
 from jinja2 import TemplateError
 
-import skymoor.evaluate
 import skymoor.exports
 from skymoor.arguments import (
     Demo,
@@ -39,7 +38,7 @@ from skymoor.settings import Options, check_engines
 from skymoor.simulate import SiteOptions
 from skymoor.simulate.site import write_site
 from skymoor.simulate.world import World
-from skymoor.store import PRODUCTS, Store, check_photos, has_metadata, name_prefix, read_cameras_csv, read_truth_csv
+from skymoor.store import PRODUCTS, Store, check_photos, has_metadata, name_prefix
 from skymoor.tables import accuracy_table, checks_table, evaluation_table, plan_table, summary_table, weights_table
 from skymoor.types import Reference
 from skymoor.view import view_run
@@ -111,9 +110,7 @@ def run(command: Run) -> bool:
 def evaluate(command: Evaluate) -> None:
     """`skymoor evaluate`."""
     result = Result.read(command.run)
-    estimates = read_cameras_csv(command.run / "cameras.csv")
-    truths = read_truth_csv(command.truth)
-    rows = skymoor.evaluate.evaluate(estimates, truths, result.frame, result.covariance, result.scene_centres())
+    rows = result.evaluate(command.truth)
     with Screen(plain=True, for_scripts=command.json) as screen, Store.open(command.run) as store:
         screen.answer({"rows": rows})
         store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})

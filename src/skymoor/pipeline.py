@@ -20,7 +20,6 @@ import skymoor.match
 import skymoor.model
 import skymoor.orient
 import skymoor.reconstruct
-import skymoor.register
 import skymoor.render
 from skymoor.choice import files_of
 from skymoor.densify import DepthEstimator, PhotoWitness, blind_map, hear_photos
@@ -123,7 +122,7 @@ def _place(name: str, component: Component, job: Job, *, source: str) -> Placed:
         lambda: _register_best(placements, decoys, render, job),
         options=(options.match, stamps(options.match.dense.ready()), options.lift, options.register, job.seed),
         after=["reference", f"{name}.search", f"{name}.decoys"],
-        code=[skymoor.match, skymoor.lift, skymoor.register, skymoor.geometry],
+        code=[skymoor.match, skymoor.lift, "skymoor.register", skymoor.geometry],
     )
     relief = None
     if registration.registered:

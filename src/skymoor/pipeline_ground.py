@@ -13,7 +13,6 @@ import skymoor.facade
 import skymoor.geometry
 import skymoor.ground
 import skymoor.match
-import skymoor.register
 import skymoor.render
 import skymoor.tile_search
 from skymoor.choice import files_of
@@ -190,7 +189,7 @@ def _search(item: Placed, airborne: _Airborne, job: Job) -> Answers:
         ),
         options=(options, job.seed),
         after=["walls", f"{item.name}.depths"],
-        code=[skymoor.facade, skymoor.ground, skymoor.match, skymoor.register, skymoor.geometry],
+        code=[skymoor.facade, skymoor.ground, skymoor.match, "skymoor.register", skymoor.geometry],
     )
 
 
@@ -222,7 +221,7 @@ def _search_tiles(item: Placed, airborne: _Airborne, job: Job) -> OneAnswer:
         compute,
         options=(ground.method, ground.matcher, options, consensus, weights, job.seed),
         after=[f"{base.name}.obliques", f"{base.name}.register", f"{item.name}.depths"],
-        code=[skymoor.tile_search, skymoor.match, skymoor.register, skymoor.geometry],
+        code=[skymoor.tile_search, skymoor.match, "skymoor.register", skymoor.geometry],
     )
 
 

@@ -7,16 +7,22 @@ import json
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
 import numpy as np
 
 from skymoor.errors import InputError
+from skymoor.evaluate import EvaluationRow, evaluate
 from skymoor.export import CameraRow
 from skymoor.geo.frame import EnuFrame
 from skymoor.geometry.similarity import Similarity
-from skymoor.store import read_cameras_csv, read_table
+from skymoor.notebook import summary_html
+from skymoor.store import read_cameras_csv, read_table, read_truth_csv
 from skymoor.types import Array
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
 
 REQUIRED = ("image", "set", "component", "status")
 RUN_FIRST = "run skymoor run first"
@@ -118,6 +124,44 @@ class Result:
         if path is None or not path.is_file():
             raise InputError(f"{path or image}: the photo is not where the run found it; put it back, or {RUN_FIRST}")
         return path
+
+    def residuals(self, component: PlacedComponent) -> Array | None:
+        """What the transform leaves at the matches that agree, (n, 3) metres east, north, up; None if not kept."""
+        try:
+            with np.load(self.folder / "matches" / f"{component.name}.npz", allow_pickle=False) as arrays:
+                metres: Array = np.asarray(arrays["residuals_m"], np.float64)[arrays["inliers"]]
+        except (OSError, EOFError, BadZipFile, ValueError, KeyError, IndexError):  # a former version's, or damaged
+            return None
+        return metres if len(metres) else None
+
+    def evaluate(self, truth: Path | str) -> list[EvaluationRow]:
+        """Errors against truth.csv (`image,lat,lon,height`), metres, one row for each set and component.
+
+        Raises `InputError` when the table cannot be read, or does not know a camera that has a place.
+        """
+        estimates, truths = read_cameras_csv(self.folder / "cameras.csv"), read_truth_csv(Path(truth))
+        return evaluate(estimates, truths, self.frame, self.covariance, self.scene_centres())
+
+    def plot_cameras(self) -> Figure:
+        """Map of the cameras; see `skymoor.plots.plot_cameras`. Needs skymoor[plot]."""
+        from skymoor.plots import plot_cameras
+
+        return plot_cameras(self)
+
+    def plot_residuals(self) -> Figure:
+        """What the transforms leave at the matches; see `skymoor.plots.plot_residuals`. Needs skymoor[plot]."""
+        from skymoor.plots import plot_residuals
+
+        return plot_residuals(self)
+
+    def plot_stages(self) -> Figure:
+        """Time line of the run; see `skymoor.plots.plot_stages`. Needs skymoor[plot]."""
+        from skymoor.plots import plot_stages
+
+        return plot_stages(self)
+
+    def _repr_html_(self) -> str:
+        return summary_html(self.summary)
 
 
 def _component(set_name: str, summary: dict[str, Any]) -> PlacedComponent:

@@ -66,7 +66,7 @@ class Part:
 def report_page(result: Result) -> str:
     """The page about a run, one HTML document that holds everything it shows."""
     mosaic = mosaic_of(result)
-    parts = [_part(result.folder, one, k) for k, one in enumerate(result.components)]
+    parts = [_part(result, one, k) for k, one in enumerate(result.components)]
     placed = [row for row in result.cameras if row.east is not None]
     text: str = _template().render(
         result=result,
@@ -88,28 +88,23 @@ def report_page(result: Result) -> str:
     return text
 
 
-def _part(folder: Path, component: PlacedComponent, position: int) -> Part:
+def _part(result: Result, component: PlacedComponent, position: int) -> Part:
     told = (position % COLOURS, words.verdict(component), words.advice(component), words.facts(component))
     if position >= PICTURES_FOR:
         return Part(component, *told)
     pictures = []
     for kind, name, title, alt in PICTURES:
         size = "wide" if name in WIDE else "half" if name in HALF else "third"
-        uri = file_uri(folder / kind / f"{component.name}_{name}.png", SIDES_PX[size])
+        uri = file_uri(result.folder / kind / f"{component.name}_{name}.png", SIDES_PX[size])
         if uri is not None:
             pictures.append(Picture(uri, title, f"{alt} ({component.name})", size))
-    return Part(component, *told, pictures, _residuals(folder / "matches" / f"{component.name}.npz"))
+    return Part(component, *told, pictures, _residuals(result, component))
 
 
-def _residuals(path: Path) -> list[Markup]:
+def _residuals(result: Result, component: PlacedComponent) -> list[Markup]:
     """Histograms of east, north and up at the matches that agree."""
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            metres, good = arrays["residuals_m"], arrays["inliers"]
-            metres = metres[good]
-    except (OSError, ValueError, KeyError, IndexError):  # a former version's, or damaged
-        return []
-    return [histogram(metres[:, k], name) for k, name in enumerate(("East", "North", "Up"))] if len(metres) else []
+    metres = result.residuals(component)
+    return [] if metres is None else [histogram(metres[:, k], name) for k, name in enumerate(("East", "North", "Up"))]
 
 
 def _evaluation(folder: Path) -> dict[str, Any] | None:
