@@ -7,10 +7,11 @@
 RUN is the folder of a finished run whose place is known to be right, SITE.toml what it was run on. From each run's
 nadir render windows of random place, size and shape are cut, and turned, brightened and made noisy at random. Each is
 placed in its own reference with the product's search, decoys, matching, registration and judgement: a true case, and
-right if the window's own points come within two metres (median) of where the whole model's registration puts them. It
-is then placed in places where nothing is right: another site's reference, its own mirrored, and its own with heights
-of another place. Told are the shares that are believed at the product's limits, the same for limits on the probability
-of chance alone (the ROC), and what was believed wrongly.
+right if the window's own points come within two metres (median) of where the whole model's registration puts them.
+Each of its decoys, which lies nowhere, is then judged by the others: a wrong case for the probability of chance alone.
+Every third window is also placed where nothing is right: in its own reference mirrored, in another site's, and in its
+own with heights of another place. Told are the shares that are believed at the product's limits, and the same for
+limits on the probability of chance alone (the ROC).
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ CERTAINLY_REFUSED = 0.3
 # Some hundred searches have to be cheap: at a third of the product's resolution, over few scales, with few decoys. True
 # places are harder to tell from chance so, for the scores of both are of fewer pixels.
 SEARCH = SearchOptions(heading_step_deg=8.0, reference_px=160, template_px=64, keep=4, fine_px=256)
-DECOYS = DecoyOptions(count=2, keep=3)
+DECOYS = DecoyOptions(count=5, keep=3)
 SCALE_RANGE = 1.15
 
 
@@ -92,20 +93,23 @@ def window(model: Model, rng: np.random.Generator) -> Render | None:
     return Render(cut, rgb.astype(np.uint8), xyz, model.render.confidence[part])
 
 
-def placed_in(render: Render, reference: Reference, metres: float, rng: np.random.Generator) -> Registration:
-    """As the pipeline places a render; scales within `SCALE_RANGE` of the true one are searched."""
+def placed_in(
+    render: Render, reference: Reference, metres: float, rng: np.random.Generator
+) -> tuple[Registration, list[float]]:
+    """As the pipeline places a render, and the scores of its decoys; scales within `SCALE_RANGE` of the true one."""
     options = Options()
     picture, target = nadir_raster(render, options.match.min_height_confidence), reference_raster(reference)
     px = render.view.pixel * metres / reference.grid.pixel_m
     scales = {"min_scale": px / SCALE_RANGE, "max_scale": px * SCALE_RANGE}
     placements = search_placements(picture, target, **scales, options=SEARCH)
     if not placements:
-        return Registration(registered=False, reason="too small", enu_from_level=None)
+        return Registration(registered=False, reason="too small", enu_from_level=None), []
     chance = decoy_scores(picture, target, **scales, options=SEARCH, decoys=DECOYS, rng=rng)
     probability = chance_probability(placements[0].score, chance)
     if probability > CERTAINLY_REFUSED:  # far beyond the product's limit: what follows cannot change the answer
         diagnostics = {"search_score": placements[0].score, "chance_probability": probability}
-        return Registration(registered=False, reason="chance", enu_from_level=None, diagnostics=diagnostics)
+        refused = Registration(registered=False, reason="chance", enu_from_level=None, diagnostics=diagnostics)
+        return refused, chance
     found = []
     for k, placement in enumerate(placements[:1]):
         matrix = placement.matrix(picture.mask.shape)
@@ -119,7 +123,16 @@ def placed_in(render: Render, reference: Reference, metres: float, rng: np.rando
             heights = height_agreement(up, reference.height, reference.grid.pixel_m)
         scores = [placement.score, *(p.score for j, p in enumerate(placements) if j != k)]
         found.append(judge(registration, scores, len(pairs), options.register, decoys=chance, heights=heights))
-    return max(found, key=lambda one: (one.registered, one.diagnostics.get("cells", 0.0)))
+    return max(found, key=lambda one: (one.registered, one.diagnostics.get("cells", 0.0))), chance
+
+
+def decoys(model: str, number: int, scores: list[float]) -> list[dict[str, object]]:
+    """Each decoy as if it were the picture, judged by the others: wrong, whatever it scores."""
+    rows: list[dict[str, object]] = []
+    for k, score in enumerate(scores):
+        probability = chance_probability(score, scores[:k] + scores[k + 1 :])
+        rows.append({"model": model, "window": number, "kind": "decoy", "chance_probability": probability})
+    return rows
 
 
 def error_m(render: Render, found: Registration, truth: Similarity) -> float:
@@ -162,9 +175,11 @@ def main() -> None:
             if render is None:
                 continue
             metres, start = model.enu_from_level.scale, time.perf_counter()
-            cases = [("own", model.reference), *wrong_references(model, others, rng)[: 3 if k % 4 == 0 else 2]]
+            cases = [("own", model.reference), *(wrong_references(model, others, rng) if k % 3 == 0 else [])]
             for kind, reference in cases:
-                found = placed_in(render, reference, metres, rng)
+                found, chance = placed_in(render, reference, metres, rng)
+                if kind == "own":
+                    rows += decoys(model.name, k, chance)
                 row = {
                     "model": model.name,
                     "window": k,
@@ -188,6 +203,7 @@ def told(rows: list[dict[str, object]]) -> dict[str, object]:
     """Shares believed, right and wrong, and the ROC of the probability of chance."""
     own = [row for row in rows if row["kind"] == "own"]
     wrong = [row for row in rows if row["kind"] in ("mirrored", "another")]
+    decoyed = [row for row in rows if row["kind"] == "decoy"]
     # Heights of another place under the right colours: the place is right in plan, and may be so in height.
     half = [row for row in rows if row["kind"] == "heights of another"]
 
@@ -196,7 +212,7 @@ def told(rows: list[dict[str, object]]) -> dict[str, object]:
 
     roc = []
     for limit in (0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001, 1e-4):
-        passed = [[float(r["chance_probability"] or 1.0) <= limit for r in part] for part in (own, wrong)]  # type: ignore[arg-type]
+        passed = [[float(r["chance_probability"] or 1.0) <= limit for r in part] for part in (own, wrong, decoyed)]  # type: ignore[arg-type]
         roc.append([limit, *(float(np.mean(p)) if p else None for p in passed)])
     return {
         "true cases": len(own),
@@ -207,7 +223,8 @@ def told(rows: list[dict[str, object]]) -> dict[str, object]:
         "heights of another place": len(half),
         "believed with those": sum(bool(r["registered"]) for r in half),
         "believed with those and wrong": sum(bool(r["registered"]) and not right(r) for r in half),
-        "roc: limit on chance, true passed, wrong passed": roc,
+        "decoys": len(decoyed),
+        "roc: limit on chance; share passed of true cases, wrong places, decoys": roc,
     }
 
 

@@ -80,7 +80,9 @@ def test_other_places_are_told_beside_the_believed_one(finished: Path) -> None:
     (component,) = summary["sets"][0]["components"]
     best, *others = component["hypotheses"]
     assert others and all(best["score"] > 1.3 * other["score"] for other in others)
-    assert best["metres_per_unit"] == pytest.approx(component["enu_from_sfm"]["scale"], rel=0.03)
+    # The level frame's unit is the cameras' height above ground.
+    unit_m = component["enu_from_sfm"]["scale"] * component["gravity"]["camera_height"]
+    assert best["metres_per_unit"] == pytest.approx(unit_m, rel=0.03)
     centre = component["scene_centre_enu"]
     assert np.hypot(best["east"] - centre[0], best["north"] - centre[1]) < 15
     origin = component["enu_origin"]
