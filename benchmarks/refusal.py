@@ -9,7 +9,7 @@ nadir render windows of random place, size and shape are cut, and turned, bright
 placed in its own reference with the product's search, decoys, matching, registration and judgement: a true case, and
 right if the window's own points come within two metres (median) of where the whole model's registration puts them.
 Each of its decoys, which lies nowhere, is then judged by the others: a wrong case for the probability of chance alone.
-Every third window is also placed where nothing is right: in its own reference mirrored, in another site's, and in its
+Every sixth window is also placed where nothing is right: in its own reference mirrored, in another site's, and in its
 own with heights of another place. Told are the shares that are believed at the product's limits, and the same for
 limits on the probability of chance alone (the ROC).
 """
@@ -74,8 +74,10 @@ def model_of(run: Path, site: Path) -> Model:
     pixel = float(np.median(np.abs(np.diff(xyz[..., 0], axis=1)[known[:, 1:] & known[:, :-1]])))
     x0 = float(np.median(xyz[rows, columns, 0] - (columns + 0.5) * pixel))
     y0 = float(np.median(-xyz[rows, columns, 1] - (rows + 0.5) * pixel))
-    view = View(np.diag([1.0, -1.0, -1.0]), x0, y0, pixel, known.shape)
-    return Model(run.name, Render(view, arrays["rgb"], xyz, arrays["confidence"]), placed, reference)
+    # Every second pixel: what is searched and matched here is coarser anyway.
+    rgb, xyz, confidence = (arrays[name][::2, ::2] for name in ("rgb", "xyz", "confidence"))
+    view = View(np.diag([1.0, -1.0, -1.0]), x0 - pixel / 2, y0 - pixel / 2, 2 * pixel, confidence.shape)
+    return Model(run.name, Render(view, rgb, xyz, confidence), placed, reference)
 
 
 def window(model: Model, rng: np.random.Generator) -> Render | None:
@@ -175,7 +177,7 @@ def main() -> None:
             if render is None:
                 continue
             metres, start = model.enu_from_level.scale, time.perf_counter()
-            cases = [("own", model.reference), *(wrong_references(model, others, rng) if k % 3 == 0 else [])]
+            cases = [("own", model.reference), *(wrong_references(model, others, rng) if k % 6 == 0 else [])]
             for kind, reference in cases:
                 found, chance = placed_in(render, reference, metres, rng)
                 if kind == "own":
