@@ -29,7 +29,7 @@ PRESETS = ("office-park", "industrial", "flooded")
 SMALL = ("--radius-m", "45", "--airborne", "18", "--groups", "0", "--security", "0", "--photo-width", "480")
 SMALL = (*SMALL, "--reference-width-m", "180", "--ortho-pixel-m", "0.5")
 # Less to search, for time only; the flights are 50 to 80 m above ground.
-FASTER = ("--set", "match.min_height_m=40", "--set", "match.max_height_m=110", "--set", "match.decoys.count=2")
+FASTER = ("--set", "match.min_height_m=40", "--set", "match.max_height_m=110")
 LEVELS = (0.5, 0.9, 0.99)
 CIRCLE, LINE = float(np.sqrt(chi2.ppf(0.9, 2))), float(np.sqrt(chi2.ppf(0.9, 1)))  # CE90 and LE90 per sigma
 

@@ -73,9 +73,9 @@ def test_the_viewer_answers_until_it_is_interrupted(tmp_path: Path) -> None:
         try:
             assert viewer.stdout is not None
             assert f"http://127.0.0.1:{port}: the viewer" in viewer.stdout.readline()
-            with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=20) as answer:
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=120) as answer:
                 assert b"<html" in answer.read().lower()
             viewer.send_signal(signal.SIGINT)
-            assert viewer.wait(20) == 0
+            assert viewer.wait(120) == 0
         finally:
             viewer.kill()
