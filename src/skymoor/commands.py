@@ -31,6 +31,7 @@ from skymoor.pipeline import register_airborne
 from skymoor.pipeline_ground import register_ground_sets
 from skymoor.plan import plan
 from skymoor.products import NOT_REGISTERED, PlacedSet, write_products
+from skymoor.provenance import provenance
 from skymoor.reference import read_reference
 from skymoor.result import Result
 from skymoor.screen import Screen
@@ -68,7 +69,7 @@ def run(command: Run) -> bool:
         raise InputError(
             f"{command.site}: it names no [airborne] images; ground photos are placed on the airborne model"
         )
-    check_engines(options, ground=bool(site.ground))
+    weight_files = check_engines(options, ground=bool(site.ground))
     _require_run(command, site)
     if command.dry_run:
         return _show_plan(command, site, options)
@@ -99,9 +100,15 @@ def run(command: Run) -> bool:
             PlacedSet(job.name, folder, job.photos.names, found)
             for job, folder, found in zip(jobs, folders, placed, strict=True)
         ]
-        summary = write_products(sets, site, reference, options, command.seed, store)
+        made_from = provenance(
+            (site.reference.ortho, site.reference.dsm),
+            {job.name: (folder, job.photos_stage) for job, folder in zip(jobs, folders, strict=True)},
+            weight_files,
+            store,
+        )
+        summary = write_products(sets, site, reference, options, command.seed, made_from, store)
         screen.show(summary_table(summary))
-        _write_page(command.out, store)
+        _write_page(Result.read(command.out), store)
         screen.note(f"results in {command.out}; to read: {command.out / PAGE}")
         screen.answer({"out": store.root, "site": summary["site"], "sets": summary["sets"]})
     return all(item["status"] != NOT_REGISTERED for item in summary["sets"])
@@ -114,7 +121,7 @@ def evaluate(command: Evaluate) -> None:
     with Screen(plain=True, for_scripts=command.json) as screen, Store.open(command.run) as store:
         screen.answer({"rows": rows})
         store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})
-        _rewrite_page(command.run, store)
+        _rewrite_page(result, store)
         screen.show(evaluation_table(rows))
         screen.show(accuracy_table(rows))
 
@@ -127,9 +134,9 @@ def export(command: Export) -> None:
 
 def report(command: Report) -> None:
     """`skymoor report`."""
-    Result.read(command.run)  # or the folder would be made into that of a run
+    result = Result.read(command.run)  # first, or the folder would be made into that of a run
     with Screen(plain=True) as screen, Store.open(command.run) as store:
-        screen.note(str(_rewrite_page(command.run, store)))
+        screen.note(str(_rewrite_page(result, store)))
 
 
 def view(command: View) -> None:
@@ -177,17 +184,17 @@ def weights(command: Weights) -> None:
             screen.note(f"engines find it there if SKYMOOR_WEIGHTS={wanted.to}")
 
 
-def _write_page(folder: Path, store: Store) -> Path:
-    return store.write_text(PAGE, report_page(Result.read(folder)))
+def _write_page(result: Result, store: Store) -> Path:
+    return store.write_text(PAGE, report_page(result))
 
 
-def _rewrite_page(folder: Path, store: Store) -> Path:
+def _rewrite_page(result: Result, store: Store) -> Path:
     """The same of a folder in which anyone may have written since."""
     try:
-        return _write_page(folder, store)
+        return _write_page(result, store)
     except (LookupError, TypeError, ValueError, AttributeError, TemplateError) as error:
         raise InputError(
-            f"{folder / 'summary.json'}: is damaged or of another version ({error}); run skymoor run again"
+            f"{result.folder / 'summary.json'}: is damaged or of another version ({error}); run skymoor run again"
         ) from error
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
 import platform
 import shutil
@@ -13,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skymoor import __version__
+from skymoor.optional import version_of
 from skymoor.weights import KNOWN, weights_folder
 
 LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "pycolmap", "rasterio", "pyproj", "torch", "laspy", "rich")
@@ -56,22 +56,15 @@ def examine(folder: Path) -> list[Check]:
     ]
 
 
-def _version(name: str) -> str | None:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
 def _library(name: str) -> Check:
-    version = _version(name)
+    version = version_of(name)
     return Check(
         name, version or "-", "" if version else "install skymoor again: pip install --force-reinstall skymoor"
     )
 
 
 def _optional(name: str, extra: str) -> Check:
-    version = _version(name)
+    version = version_of(name)
     return Check(name, version or "-", "" if version else f'pip install "skymoor[{extra}]"', needed=False)
 
 
@@ -116,6 +109,6 @@ def _disks(folder: Path) -> Iterator[Check]:
 
 def _weights() -> Iterator[Check]:
     root = weights_folder()
-    here = [one.name for one in KNOWN if all((root / one.name / file.file).exists() for file in one.files)]
+    here = [one.name for one in KNOWN if all(one.here(root))]
     hint = "none is needed; skymoor weights list says what there is, skymoor weights fetch NAME brings it"
     yield Check(f"weights in {root}", ", ".join(here) or "-", "" if here else hint, needed=False)

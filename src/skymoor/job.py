@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from skymoor.types import (
     DepthMap,
     Gravity,
     Image,
+    Mask,
     Matches3D,
     Photos,
     Progress,
@@ -97,7 +98,8 @@ class Placed:
         found = self.registration
         if not found.registered or found.enu_from_level is None:
             return []
-        return [self.component.cameras[k].moved(found.enu_from_level) for k in self._trusted]
+        trusted = zip(self.component.cameras, self._trusted, strict=True)
+        return [camera.moved(found.enu_from_level) for camera, is_trusted in trusted if is_trusted]
 
     @property
     def shape_enu(self) -> Array | None:
@@ -111,26 +113,15 @@ class Placed:
     @property
     def component_enu(self) -> Component | None:
         """The component on Earth without cameras that contradict it and what they see; None if it is not registered."""
-        placed, whole = self.registration.enu_from_level, self.component
+        placed = self.registration.enu_from_level
         if not self.registration.registered or placed is None:
             return None
-        new = np.full(len(whole.cameras), -1, np.int32)
-        new[self._trusted] = np.arange(len(self._trusted))
-        kept = new[whole.obs_camera] >= 0
-        seen, covariances = new[whole.obs_camera[kept]], whole.centre_covariances
-        return replace(
-            whole,
-            cameras=tuple(whole.cameras[k] for k in self._trusted),
-            obs_camera=seen.astype(np.int32),
-            obs_point=whole.obs_point[kept],
-            obs_px=whole.obs_px[kept],
-            centre_covariances=None if covariances is None else covariances[self._trusted],
-        ).moved(placed)
+        return self.component.of_cameras(self._trusted).moved(placed)
 
     @property
-    def _trusted(self) -> list[int]:
+    def _trusted(self) -> Mask:
         doubted = {witness.image for witness in self.witnesses if witness.contradicts}
-        return [k for k, camera in enumerate(self.component.cameras) if camera.image not in doubted]
+        return np.array([camera.image not in doubted for camera in self.component.cameras], bool)
 
 
 def refused(name: str, component: Component, reason: str) -> Placed:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 from types import ModuleType
 
 from skymoor.errors import BackendUnavailable
@@ -27,6 +28,14 @@ def require(module: str, extra: str) -> ModuleType:
         raise BackendUnavailable(
             f'{module} cannot be imported ({reason}): install it with pip install "skymoor[{extra}]"'
         ) from error
+
+
+def version_of(library: str) -> str | None:
+    """Of an installed library, by the name that pip knows; None where it is not here."""
+    try:
+        return importlib.metadata.version(library)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def torch_device(name: str) -> str:

@@ -44,10 +44,9 @@ def plot_cameras(result: Result) -> Any:
             marker={"size": 9, "line": {"width": 1, "color": "white"}},
             hovertemplate=HOVER,
         )
-    count = sum(row.east is not None for row in result.cameras)
     site = escape(str(result.summary.get("site", "")))
     figure.update_layout(
-        title={"text": f"{site}: {count} of {len(result.cameras)} cameras have a place"},
+        title={"text": f"{site}: {len(result.placed)} of {len(result.cameras)} cameras have a place"},
         xaxis={"title": {"text": "east, m"}, "constrain": "domain"},
         yaxis={"title": {"text": "north, m"}, "scaleanchor": "x", "scaleratio": 1},
         images=list(_background(mosaic_of(result))),
@@ -112,9 +111,8 @@ def plot_stages(result: Result) -> Any:
 def _placed(result: Result) -> dict[str, list[CameraRow]]:
     """The cameras with a place, by component."""
     found: dict[str, list[CameraRow]] = {}
-    for row in result.cameras:
-        if row.east is not None:
-            found.setdefault(f"{row.set}_{row.component}", []).append(row)
+    for row in result.placed:
+        found.setdefault(f"{row.set}_{row.component}", []).append(row)
     return found
 
 

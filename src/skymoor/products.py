@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,6 @@ from skymoor.geo.accuracy import ce90_m, le90_m
 from skymoor.geometry.similarity import Similarity
 from skymoor.job import Placed
 from skymoor.overlay import lay_on_reference
-from skymoor.provenance import provenance
 from skymoor.register import CameraAccuracy, camera_accuracy
 from skymoor.report import confidence_picture, height_picture, match_picture, overlay_picture, residual_picture
 from skymoor.settings import MatchOptions, Options
@@ -76,9 +75,15 @@ def figures_of(accuracy: CameraAccuracy) -> Array:
 
 
 def write_products(
-    sets: Sequence[PlacedSet], site: Site, reference: Reference, options: Options, seed: int, store: Store
+    sets: Sequence[PlacedSet],
+    site: Site,
+    reference: Reference,
+    options: Options,
+    seed: int,
+    provenance: Mapping[str, Any],
+    store: Store,
 ) -> dict[str, Any]:
-    """Write all products of a run; returns the summary."""
+    """Write all products of a run; returns the summary. `provenance` is what the run was made from."""
     rows = [row for found in sets for row in camera_rows(found, reference)]
     # Of the cameras of a former run; the summary comes back last, so that none describes products of another run.
     for name in ("report.html", "evaluation.json", "summary.json"):
@@ -102,9 +107,7 @@ def write_products(
             "pixel_m": reference.grid.pixel_m,
         },
         "enu_origin": georeference(reference.frame, Similarity.identity())["enu_origin"],
-        "provenance": provenance(
-            site.reference.ortho, site.reference.dsm, {found.name: found.folder for found in sets}, options
-        ),
+        "provenance": provenance,
         "sets": [_set_summary(found, reference) for found in sets],
         "stages": [asdict(record) for record in store.records],
     }

@@ -6,54 +6,46 @@ from __future__ import annotations
 import hashlib
 import platform
 import sys
-from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skymoor.errors import SkymoorError
-from skymoor.settings import Options, check_engines
-from skymoor.store import digest, photos_fingerprint
-from skymoor.weights import sha256_of
+from skymoor.optional import version_of
+from skymoor.store import Store, digest, photos_fingerprint
+from skymoor.weights import files_in, sha256_of, stamps
 
 LIBRARIES = ("numpy", "scipy", "pycolmap", "opencv-python-headless", "torch", "rasterio", "pyproj", "pillow")
 LARGEST_HASHED_BYTES = 4e9  # half a minute of reading; beyond, size must do
 
 
-def provenance(ortho: Path, dsm: Path, folders: Mapping[str, Path], options: Options) -> dict[str, Any]:
-    """For the summary: who asks years later which files and which programs made these positions finds it there.
+def provenance(
+    reference: tuple[Path, Path], photos: Mapping[str, tuple[Path, str]], weights: Sequence[Path], store: Store
+) -> dict[str, Any]:
+    """For the summary: who asks years later which files and programs made these positions finds it there.
+
+    Stages of the run in `store`, so that a file is read for it once, and again when it has changed.
 
     Args:
-        ortho, dsm: the reference's files, hashed whole.
-        folders: of photos, by the name of their set; their fingerprint is over names and bytes.
-        options: of the run, which say the weights.
+        reference: its orthophoto and elevation model, hashed whole.
+        photos: folder, and stage that has read it, by the name of the set; hashed over names and bytes.
+        weights: files and folders that the run's engines have read.
     """
+    stage = partial(store.stage, code=[__name__])
+    ortho, dsm = reference
     return {
-        "reference": {"ortho": _file(ortho), "dsm": _file(dsm)},
-        "photos": {name: _photos(folder) for name, folder in folders.items()},
-        "weights": _weights(options, ground=len(folders) > 1),
+        "reference": stage(
+            "reference.provenance", lambda: {"ortho": _file(ortho), "dsm": _file(dsm)}, after=["reference"]
+        ),
+        "photos": {
+            name: stage(f"{name}.provenance", partial(_photos, folder), options=folder, after=[read_by])
+            for name, (folder, read_by) in photos.items()
+        },
+        "weights": stage("weights.provenance", lambda: _weights(weights), options=stamps(weights)),
         "python": platform.python_version(),
         "platform": f"{sys.platform} {platform.machine()}",
-        "libraries": {name: _version(name) for name in LIBRARIES},
+        "libraries": {name: version_of(name) for name in LIBRARIES},
     }
-
-
-def _weights(options: Options, *, ground: bool) -> list[dict[str, Any]]:
-    try:
-        paths = check_engines(options, ground=ground)
-        files = [file for path in paths for file in ([path] if path.is_file() else sorted(path.rglob("*")))]
-    except (SkymoorError, OSError):  # gone since the run read them
-        return []
-    return [{"file": file.name} | _file(file) for file in files if file.is_file()]
-
-
-def _file(path: Path) -> dict[str, Any]:
-    try:
-        size = path.stat().st_size
-        cheap = path.is_file() and size <= LARGEST_HASHED_BYTES
-        return {"bytes": size, "sha256": sha256_of(path) if cheap else None}
-    except OSError:  # the run is done, and must not be lost because a file has gone meanwhile
-        return {"bytes": None, "sha256": None}
 
 
 def _photos(folder: Path) -> dict[str, Any]:
@@ -68,8 +60,17 @@ def _photos(folder: Path) -> dict[str, Any]:
     return {"count": count, "sha256": whole.hexdigest()}
 
 
-def _version(library: str) -> str | None:
+def _weights(paths: Sequence[Path]) -> list[dict[str, Any]]:
     try:
-        return version(library)
-    except PackageNotFoundError:
-        return None
+        return [{"file": file.name} | _file(file) for file in files_in(paths)]
+    except OSError:  # gone since the run read them
+        return []
+
+
+def _file(path: Path) -> dict[str, Any]:
+    try:
+        size = path.stat().st_size
+        cheap = path.is_file() and size <= LARGEST_HASHED_BYTES
+        return {"bytes": size, "sha256": sha256_of(path) if cheap else None}
+    except OSError:  # the run is done, and must not be lost because a file has gone meanwhile
+        return {"bytes": None, "sha256": None}

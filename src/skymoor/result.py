@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -18,13 +18,13 @@ from skymoor.export import CameraRow
 from skymoor.geo.frame import EnuFrame
 from skymoor.geometry.similarity import Similarity
 from skymoor.notebook import summary_html
-from skymoor.store import read_cameras_csv, read_table, read_truth_csv
+from skymoor.store import read_camera_rows, read_cameras_csv, read_truth_csv
 from skymoor.types import Array
 
 if TYPE_CHECKING:
+    import pycolmap
     from plotly.graph_objects import Figure
 
-REQUIRED = ("image", "set", "component", "status")
 RUN_FIRST = "run skymoor run first"
 
 
@@ -94,19 +94,12 @@ class Result:
     @cached_property
     def cameras(self) -> tuple[CameraRow, ...]:
         """Every image of the run, as cameras.csv has them. Raises `InputError` when that cannot be read."""
-        path = self.folder / "cameras.csv"
-        read_cameras_csv(path)  # which knows how a table can be wrong
-        texts = {"image", "set", "status"}
-        rows = []
-        for _, row in read_table(path, REQUIRED):
-            values: dict[str, Any] = {name: row[name] for name in texts}
-            component = row["component"].strip()
-            values["component"] = int(component) if component else None
-            for name in (item.name for item in fields(CameraRow) if item.name not in values):
-                cell = row.get(name, "").strip()
-                values[name] = float(cell) if cell else None
-            rows.append(CameraRow(**values))
-        return tuple(rows)
+        return tuple(read_camera_rows(self.folder / "cameras.csv"))
+
+    @property
+    def placed(self) -> tuple[CameraRow, ...]:
+        """Those with a place."""
+        return tuple(row for row in self.cameras if row.lat is not None)
 
     def scene_centres(self) -> dict[tuple[str, int], Array]:
         """Where each registered component's scene is, (3,) ENU metres, by set and number."""
@@ -124,6 +117,16 @@ class Result:
         if path is None or not path.is_file():
             raise InputError(f"{path or image}: the photo is not where the run found it; put it back, or {RUN_FIRST}")
         return path
+
+    def model(self, component: PlacedComponent) -> pycolmap.Reconstruction:
+        """The COLMAP model of a component in ENU metres. Raises `InputError` where it has none, or it is damaged."""
+        import pycolmap
+
+        folder = self.folder / "colmap" / component.name
+        try:
+            return pycolmap.Reconstruction(str(folder))
+        except Exception as error:  # of a file that is cut off, anything
+            raise InputError(f"{folder}: no COLMAP model of the run; {RUN_FIRST}") from error
 
     def residuals(self, component: PlacedComponent) -> Array | None:
         """What the transform leaves at the matches that agree, (n, 3) metres east, north, up; None if not kept."""

@@ -109,7 +109,7 @@ def weights_table(known: Sequence[Weights], folder: Path) -> Table:
     for heading in ("for", "MB", "here", "licence: code", "weights", "sha256", "note"):
         table.add_column(heading, overflow="fold")
     for one in known:
-        there = [(folder / one.name / file.file).exists() for file in one.files]
+        there = one.here(folder)
         digests = [file.sha256 for file in one.files if not file.folder]
         table.add_row(
             one.name,

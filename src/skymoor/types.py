@@ -114,6 +114,18 @@ class Component:
         """Projection centres, (n cameras, 3)."""
         return np.array([camera.centre for camera in self.cameras])
 
+    def of_cameras(self, keep: Mask) -> Component:
+        """With those cameras alone of which `keep` (n cameras,) is true, and what they see; all points stay."""
+        seen = keep[self.obs_camera]
+        return replace(
+            self,
+            cameras=tuple(camera for camera, kept in zip(self.cameras, keep, strict=True) if kept),
+            obs_camera=(np.cumsum(keep) - 1)[self.obs_camera[seen]].astype(np.int32),
+            obs_point=self.obs_point[seen],
+            obs_px=self.obs_px[seen],
+            centre_covariances=None if self.centre_covariances is None else self.centre_covariances[keep],
+        )
+
     def moved(self, target_from_world: Similarity) -> Component:
         """Express the component in another frame."""
         cameras = tuple(camera.moved(target_from_world) for camera in self.cameras)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from skymoor.types import Array, Array32, DepthMap, Mask
+from skymoor.types import Array, Array32, DepthMap, Image, Mask
 
 BLUR_PX, NEAR_RATIO = 1.0, 1.03  # of the pictures; depths that differ by less are one surface
 
@@ -63,17 +63,22 @@ def hear_photos(maps: Sequence[DepthMap], options: AgreementOptions | None = Non
         one witness per map, in their order.
     """
     options = options or AgreementOptions()
-    heard = _heard(maps, [True] * len(maps), options)
-    if not any(witness.contradicts for witness in heard):
-        return heard
-    # Once more without what doubtful cameras lend: of two that see one place, the other may be the wrong one.
-    return _heard(maps, [not witness.contradicts for witness in heard], options)
-
-
-def _heard(maps: Sequence[DepthMap], trusted: Sequence[bool], options: AgreementOptions) -> list[PhotoWitness]:
     # Many photos show each place many times.
     sparse = options.step_px * max(1.0, np.sqrt(len(maps) / options.dense_maps))
     clouds = [depth_map.points(step=round(sparse)) for depth_map in maps]
+    heard = _heard(maps, clouds, [True] * len(maps), options)
+    if not any(witness.contradicts for witness in heard):
+        return heard
+    # Once more without what doubtful cameras lend: of two that see one place, the other may be the wrong one.
+    return _heard(maps, clouds, [not witness.contradicts for witness in heard], options)
+
+
+def _heard(
+    maps: Sequence[DepthMap],
+    clouds: Sequence[tuple[Array32, Image]],
+    trusted: Sequence[bool],
+    options: AgreementOptions,
+) -> list[PhotoWitness]:
     points = np.concatenate([np.zeros((0, 3), np.float32), *(xyz for xyz, _ in clouds)])
     grey = np.concatenate([np.zeros(0, np.float32), *(rgb.mean(axis=1, dtype=np.float32) for _, rgb in clouds)])
     owner = np.repeat(np.arange(len(maps)), [len(xyz) for xyz, _ in clouds])

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -27,17 +26,17 @@ class Source:
     notes: list[str] = field(default_factory=list)
     progress: Progress = no_progress
 
-    @cached_property
-    def rows(self) -> list[CameraRow]:
+    @property
+    def rows(self) -> tuple[CameraRow, ...]:
         """Cameras with a place."""
-        return [row for row in self.result.cameras if row.lat is not None]
+        return self.result.placed
 
     def components(self) -> Iterator[tuple[PlacedComponent, Component]]:
         """Registered components in ENU metres, with the cameras that cameras.csv places in them."""
         for part in self.result.components:
             if part.registered:
                 placed = {row.image for row in self.rows if (row.set, row.component) == (part.set, part.index)}
-                yield part, _kept(_read_colmap(self.result.folder / "colmap" / part.name), placed)
+                yield part, _kept(_component(self.result.model(part)), placed)
 
     def product(self, name: str) -> Path:
         """A file of the run. Raises `InputError` when it is missing."""
@@ -47,11 +46,7 @@ class Source:
         return path
 
 
-def _read_colmap(folder: Path) -> Component:
-    try:
-        model = pycolmap.Reconstruction(str(folder))
-    except Exception as error:  # COLMAP's own kinds
-        raise InputError(f"{folder}: no COLMAP model of the run; {RUN_FIRST}") from error
+def _component(model: pycolmap.Reconstruction) -> Component:
     names = {image.name: image.name for image in model.images.values()}
     colours = np.array([model.point3D(k).color for k in sorted(model.point3D_ids())], np.uint8).reshape(-1, 3)
     return replace(component_from_colmap(model, names), colours=colours)
@@ -62,15 +57,14 @@ def _kept(component: Component, images: set[str]) -> Component:
     keep = np.array([camera.image in images for camera in component.cameras], bool)
     if keep.all():
         return component
-    seen = np.bincount(component.obs_point[keep[component.obs_camera]], minlength=len(component.points)) >= 2
-    chosen = keep[component.obs_camera] & seen[component.obs_point]
+    kept = component.of_cameras(keep)
+    seen = np.bincount(kept.obs_point, minlength=len(kept.points)) >= 2
+    chosen = seen[kept.obs_point]
     return replace(
-        component,
-        cameras=tuple(camera for camera, kept in zip(component.cameras, keep, strict=True) if kept),
-        points=component.points[seen],
-        colours=component.colours[seen],
-        obs_camera=(np.cumsum(keep) - 1)[component.obs_camera[chosen]].astype(np.int32),
-        obs_point=(np.cumsum(seen) - 1)[component.obs_point[chosen]].astype(np.int32),
-        obs_px=component.obs_px[chosen],
-        centre_covariances=None,
+        kept,
+        points=kept.points[seen],
+        colours=kept.colours[seen],
+        obs_camera=kept.obs_camera[chosen],
+        obs_point=(np.cumsum(seen) - 1)[kept.obs_point[chosen]].astype(np.int32),
+        obs_px=kept.obs_px[chosen],
     )

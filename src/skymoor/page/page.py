@@ -67,7 +67,6 @@ def report_page(result: Result) -> str:
     """The page about a run, one HTML document that holds everything it shows."""
     mosaic = mosaic_of(result)
     parts = [_part(result, one, k) for k, one in enumerate(result.components)]
-    placed = [row for row in result.cameras if row.east is not None]
     text: str = _template().render(
         result=result,
         summary=result.summary,
@@ -80,7 +79,7 @@ def report_page(result: Result) -> str:
         satellite=None if mosaic.satellite is None else data_uri(mosaic.satellite),
         swipe=_swipe(mosaic),
         heights=_heights(mosaic),
-        placed=placed,
+        placed=result.placed,
         stages=_stages(result.summary.get("stages", [])),
         options=list(words.flattened(result.summary.get("options", {}))),
         provenance=list(words.flattened(result.summary.get("provenance", {}))),
@@ -117,15 +116,13 @@ def _evaluation(folder: Path) -> dict[str, Any] | None:
 
 def _map(result: Result, mosaic: Mosaic) -> dict[str, Any] | None:
     """The map's frame (metres, y to the south), its cameras, and where all of them can be seen."""
-    names = [one.name for one in result.components]
+    colours = {one.name: k % COLOURS for k, one in enumerate(result.components)}
     dots = [
         {
             "x": round(row.east, 2),
             "y": round(-row.north, 2),
             "row": row,
-            "colour": names.index(f"{row.set}_{row.component}") % COLOURS
-            if f"{row.set}_{row.component}" in names
-            else 0,
+            "colour": colours.get(f"{row.set}_{row.component}", 0),
         }
         for row in result.cameras
         if row.east is not None and row.north is not None

@@ -7,11 +7,11 @@ import base64
 import io
 from pathlib import Path
 
-import cv2
 import numpy as np
 from PIL import Image as Pillow
 
-from skymoor.report import difference_picture, height_picture
+from skymoor.pictures import fitted
+from skymoor.report import difference_picture
 from skymoor.types import Array32, Image
 
 SIDE_PX, QUALITY = 1200, 80
@@ -19,11 +19,9 @@ SIDE_PX, QUALITY = 1200, 80
 
 def data_uri(rgb: Image, side_px: int = SIDE_PX) -> str:
     """A picture (h, w, 3), made smaller if it is larger than a page can use, as the address of itself."""
-    scale = side_px / max(rgb.shape[:2])
-    if scale < 1:
-        rgb = np.asarray(cv2.resize(np.ascontiguousarray(rgb), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    small, _ = fitted(np.ascontiguousarray(rgb), side_px, 1)
     content = io.BytesIO()
-    Pillow.fromarray(rgb).save(content, "JPEG", quality=QUALITY, optimize=True)
+    Pillow.fromarray(small).save(content, "JPEG", quality=QUALITY, optimize=True)
     return "data:image/jpeg;base64," + base64.b64encode(content.getvalue()).decode()
 
 
@@ -41,8 +39,3 @@ def difference_uri(metres: Array32) -> str:
     rows, columns = np.nonzero(np.isfinite(metres))
     part = metres[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     return data_uri(difference_picture(part), 900)
-
-
-def heights_uri(metres: Array32) -> str:
-    """Heights with hill shading."""
-    return data_uri(height_picture(metres), 900)

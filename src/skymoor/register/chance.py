@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 from scipy.stats import t
 
+from skymoor.register.relief import shared_heights
 from skymoor.types import Array32
 
 USUAL_SPREAD, USUAL_DECOYS = 0.12, 6
@@ -36,19 +36,10 @@ def height_agreement(model: Array32, reference: Array32, pixel_m: float, *, blur
     None where they share less than 20 places of a few metres, or where one of them is flat to half a metre: there is
     nothing to agree about.
     """
-    known = np.isfinite(model) & np.isfinite(reference)
-    weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), blur_m / pixel_m)
-    rows, columns = np.nonzero(known & (weight > 0.7))
-    if len(rows) * pixel_m**2 < 20 * 4 * np.pi * (blur_m**2 + 1):
+    shared = shared_heights(model, reference, pixel_m, blur_m)
+    if shared is None:
         return None
-    step = max(1, len(rows) // 20000)
-    rows, columns = rows[::step], columns[::step]
-    blurred = [
-        cv2.GaussianBlur(np.where(known, x, 0).astype(np.float32), (0, 0), blur_m / pixel_m)[rows, columns]
-        / weight[rows, columns]
-        for x in (model, reference)
-    ]
-    plane = np.column_stack([rows, columns, np.ones(len(rows))]) / max(known.shape)
+    plane, *blurred, _ = shared
     left = [x - plane @ np.linalg.lstsq(plane, x.astype(np.float64), rcond=None)[0] for x in blurred]
     if min(float(x.std()) for x in left) < 0.5:
         return None

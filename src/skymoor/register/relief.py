@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from skymoor.types import Array32, Calibration
+from skymoor.types import Array, Array32, Calibration
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,33 @@ class Relief:
     sigma: float
 
 
+def shared_heights(
+    a: Array32, b: Array32, pixel_m: float, blur_m: float
+) -> tuple[Array, Array32, Array32, float] | None:
+    """Two height maps (h, w) in metres on one grid, NaN where unknown, blurred alike where both are known.
+
+    Returns:
+        the design (n, 3) of a plane over at most some twenty thousand pixels, the heights of both there (n,), and how
+        many independent places of a few metres they share; None for less than 20 of these.
+    """
+    known = np.isfinite(a) & np.isfinite(b)
+    weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), blur_m / pixel_m)
+    rows, columns = np.nonzero(known & (weight > 0.7))
+    places = len(rows) * pixel_m**2 / (4 * np.pi * (blur_m**2 + 1))
+    if places < 20:
+        return None
+    step = max(1, len(rows) // 20000)
+    rows, columns = rows[::step], columns[::step]
+    blurred_a, blurred_b = (
+        cv2.GaussianBlur(np.where(known, x, 0).astype(np.float32), (0, 0), blur_m / pixel_m)[rows, columns]
+        / weight[rows, columns]
+        for x in (a, b)
+    )
+    scale = max(known.shape)
+    plane = np.column_stack([columns / scale, rows / scale, np.ones(len(rows))])
+    return plane, blurred_a, blurred_b, places
+
+
 def compare_relief(
     model_height: Array32, reference_height: Array32, pixel_m: float, options: ReliefOptions | None = None
 ) -> Relief | None:
@@ -48,24 +75,12 @@ def compare_relief(
     the number of independent places follows from the blur.
     """
     options = options or ReliefOptions()
-    known = np.isfinite(model_height) & np.isfinite(reference_height)
-    sigma_px = options.blur_m / pixel_m
-    weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), sigma_px)
-    use = known & (weight > 0.7)
-    places = use.sum() * pixel_m**2 / (4 * np.pi * (options.blur_m**2 + 1))
-    if places < 20:
+    shared = shared_heights(model_height, reference_height, pixel_m, options.blur_m)
+    if shared is None:
         return None
-    rows, columns = np.nonzero(use)
-    step = max(1, len(rows) // 20000)
-    rows, columns = rows[::step], columns[::step]
-    model, reference = (
-        cv2.GaussianBlur(np.where(known, x, 0).astype(np.float32), (0, 0), sigma_px)[rows, columns]
-        / weight[rows, columns]
-        for x in (model_height, reference_height)
-    )
-    scale = max(known.shape)
-    design = np.column_stack([model, columns / scale, rows / scale, np.ones(len(rows))]).astype(np.float64)
-    weights = np.ones(len(rows))
+    plane, model, reference, places = shared
+    design = np.column_stack([model, plane]).astype(np.float64)
+    weights = np.ones(len(model))
     for _ in range(20):
         root = np.sqrt(weights)[:, None]
         solution, *_ = np.linalg.lstsq(design * root, reference * root[:, 0], rcond=None)
@@ -75,7 +90,7 @@ def compare_relief(
     normal = (design.T * weights) @ design
     if np.linalg.cond(normal) > 1e10:
         return None
-    variance = float(np.linalg.inv(normal)[0, 0]) * spread**2 * max(1.0, len(rows) / places)
+    variance = float(np.linalg.inv(normal)[0, 0]) * spread**2 * max(1.0, len(model) / places)
     return Relief(float(solution[0]), float(np.hypot(np.sqrt(variance), options.systematic_ratio)))
 
 

@@ -6,16 +6,21 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 from skymoor.errors import InputError
 from skymoor.evaluate import Estimate, Truth
+from skymoor.export import CameraRow
 
 TRUTH_COLUMNS = ("image", "lat", "lon", "height")
 ACCURACY = ("ce90", "le90")
 RELATIVE = ("relative_ce90", "relative_le90")  # runs of former versions have none
-CAMERA_COLUMNS = ("image", "set", "component", "status", "lat", "lon", "height", *ACCURACY)
+ESTIMATED = ("lat", "lon", "height", *ACCURACY, *RELATIVE)
+TEXTS = ("image", "set", "component", "status")
+CAMERA_COLUMNS = (*TEXTS, "lat", "lon", "height", *ACCURACY)
 
 
 def read_truth_csv(path: Path) -> list[Truth]:
@@ -25,7 +30,7 @@ def read_truth_csv(path: Path) -> list[Truth]:
     image that is listed twice.
     """
     truths: dict[str, Truth] = {}
-    for line, row in read_table(path, TRUTH_COLUMNS):
+    for line, row in _rows(path, TRUTH_COLUMNS):
         where = f"{path}, line {line}"
         image = row["image"].strip().replace("\\", "/")
         if not image:
@@ -41,8 +46,21 @@ def read_truth_csv(path: Path) -> list[Truth]:
 
 def read_cameras_csv(path: Path) -> list[Estimate]:
     """Read the cameras.csv of a run. Raises `InputError`, naming file and line, for whatever does not fit."""
-    estimates = []
-    for line, row in read_table(path, CAMERA_COLUMNS):
+    return [
+        Estimate(row["image"], row["set"], row["component"], row["status"] == "REGISTERED", **numbers)
+        for row, numbers in _cameras(path, ESTIMATED)
+    ]
+
+
+def read_camera_rows(path: Path) -> list[CameraRow]:
+    """The same with all that cameras.csv says."""
+    columns = [item.name for item in fields(CameraRow) if item.name not in TEXTS]
+    return [CameraRow(**row, **numbers) for row, numbers in _cameras(path, columns)]
+
+
+def _cameras(path: Path, columns: Sequence[str]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Image, set, component and status of each line, and the numbers in these columns, None where there is none."""
+    for line, row in _rows(path, CAMERA_COLUMNS):
         where = f"{path}, line {line}"
         if row["status"] not in ("REGISTERED", "NOT_REGISTERED"):
             raise InputError(f"{where}: status {row['status']!r} is neither REGISTERED nor NOT_REGISTERED")
@@ -50,15 +68,13 @@ def read_cameras_csv(path: Path) -> list[Estimate]:
         if component and not re.fullmatch("[0-9]{1,9}", component):
             raise InputError(f"{where}: component {component!r} is not a number")
         numbers = {
-            column: _number(row[column], column, where) if row.get(column, "").strip() else None
-            for column in ("lat", "lon", "height", *ACCURACY, *RELATIVE)
+            column: _number(row[column], column, where) if row.get(column, "").strip() else None for column in columns
         }
-        number = int(component) if component else None
-        estimates.append(Estimate(row["image"], row["set"], number, row["status"] == "REGISTERED", **numbers))
-    return estimates
+        texts = {"image": row["image"], "set": row["set"], "status": row["status"]}
+        yield {**texts, "component": int(component) if component else None}, numbers
 
 
-def read_table(path: Path, columns: Sequence[str]) -> list[tuple[int, Mapping[str, str]]]:
+def _rows(path: Path, columns: Sequence[str]) -> list[tuple[int, Mapping[str, str]]]:
     """Lines with their numbers, every cell text. Raises `InputError`, naming file and line, for what is no table."""
     try:
         # utf-8-sig: spreadsheets put a byte order mark in front of the first column's name.

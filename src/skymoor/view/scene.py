@@ -95,12 +95,9 @@ def draped(name: str, grid: Grid, rgb: Image, height: Array32) -> Layer:
 
 
 def _model(result: Result, component: PlacedComponent) -> pycolmap.Reconstruction | None:
-    folder = result.folder / "colmap" / component.name
-    if not folder.is_dir():
-        return None
     try:
-        return pycolmap.Reconstruction(str(folder))
-    except Exception:  # of a file that is cut off, anything; the rest can still be seen
+        return result.model(component)
+    except InputError:  # the rest can still be seen
         return None
 
 

@@ -11,13 +11,13 @@ from contextlib import redirect_stdout
 from html import escape
 from typing import Any
 
-import cv2
 import numpy as np
 from PIL import Image as Pillow
 
 from skymoor.errors import InputError
 from skymoor.optional import require
 from skymoor.page.words import number
+from skymoor.pictures import fitted
 from skymoor.result import Result
 from skymoor.types import Image
 from skymoor.view.scene import Frustum, Layer, Scene, scene_of
@@ -143,8 +143,7 @@ class _Told:
                 rgb = np.asarray(image.convert("RGB"))
         except (InputError, OSError):
             return None
-        scale = side_px / max(rgb.shape[:2])
-        return np.asarray(cv2.resize(rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)) if scale < 1 else rgb
+        return fitted(rgb, side_px, 1)[0]
 
 
 def words_of(one: Frustum) -> str:

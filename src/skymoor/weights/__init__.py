@@ -7,6 +7,7 @@ Nothing is downloaded unless `fetch` is called, which only the command `skymoor 
 from skymoor.weights.fetch import Fetched, fetch
 from skymoor.weights.files import (
     another_network,
+    files_in,
     find,
     load_into,
     load_state_dict,
@@ -24,6 +25,7 @@ __all__ = [
     "Weights",
     "another_network",
     "fetch",
+    "files_in",
     "find",
     "known",
     "load_into",

@@ -49,12 +49,16 @@ def find(name: str, file: str, given: str | Path = "") -> Path:
     return path
 
 
-def stamps(paths: Collection[Path]) -> tuple[tuple[str, int, int], ...]:
-    """Path, size and time of change of files, and of all files in folders: other weights, other results."""
-    files = [
+def files_in(paths: Collection[Path]) -> list[Path]:
+    """Files, and all files in folders."""
+    return [
         file for path in paths for file in ([path] if path.is_file() else sorted(path.rglob("*"))) if file.is_file()
     ]
-    return tuple((str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files)
+
+
+def stamps(paths: Collection[Path]) -> tuple[tuple[str, int, int], ...]:
+    """Path, size and time of change of files, and of all files in folders: other weights, other results."""
+    return tuple((str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files_in(paths))
 
 
 def sha256_of(path: Path) -> str:

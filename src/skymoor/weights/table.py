@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from skymoor.errors import InputError
 
@@ -47,6 +48,10 @@ class Weights:
     code_licence: str
     weights_licence: str
     note: str = ""
+
+    def here(self, folder: Path) -> list[bool]:
+        """Which of the files lie in the folder of all weights."""
+        return [(folder / self.name / file.file).exists() for file in self.files]
 
     @property
     def size_mb(self) -> float | None:
