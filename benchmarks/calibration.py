@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 
 from skymoor.geo.frame import EnuFrame
 from skymoor.geo.grid import Grid
@@ -139,13 +139,18 @@ def plot(relative: Array, total: Array, path: Path) -> None:
     import plotly.graph_objects as go
 
     levels = np.linspace(0.01, 0.99, 99)
-    figure = go.Figure(layout={"template": "plotly_white", "width": 520, "height": 480})
+    figure = go.Figure(layout={"template": "plotly_white", "width": 560, "height": 460})
+    for share, name in ((0.05, None), (0.95, "90 % of right predictions")):
+        edge = binom.ppf(share, len(relative), levels) / len(relative)
+        band = {"line": {"width": 0}, "fill": "tonexty" if name else None, "fillcolor": "lightgrey"}
+        figure.add_scatter(x=levels, y=edge, name=name, mode="lines", showlegend=bool(name), **band)
     for name, squared in (("relative to the reference", relative), ("absolute", total)):
         shares = [float(np.mean(squared < chi2.ppf(level, 3))) for level in levels]
         figure.add_scatter(x=levels, y=shares, name=name, mode="lines")
     figure.add_scatter(x=[0, 1], y=[0, 1], name="right", line={"dash": "dot", "color": "grey"}, mode="lines")
     figure.update_layout(xaxis_title="predicted share", yaxis_title="share of errors within")
-    figure.write_html(path) if path.suffix == ".html" else figure.write_image(path)
+    figure.update_layout(legend={"x": 0.45, "y": 0.05}, margin={"l": 60, "r": 10, "t": 10, "b": 50})
+    figure.write_html(path, config={"displayModeBar": False}) if path.suffix == ".html" else figure.write_image(path)
 
 
 def main() -> None:

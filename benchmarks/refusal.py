@@ -8,7 +8,8 @@ RUN is the folder of a finished run whose place is known to be right, SITE.toml 
 nadir render windows of random place, size and shape are cut, and turned, brightened and made noisy at random. Each is
 placed in its own reference with the product's search, decoys, matching, registration and judgement: a true case, and
 right if the window's own points come within two metres (median) of where the whole model's registration puts them.
-Each of its decoys, which lies nowhere, is then judged by the others: a wrong case for the probability of chance alone.
+Each of its decoys, which lies nowhere, is then placed and judged in the same way, with the others for its decoys: a
+wrong case, harder than another site would be, as it has the window's own look.
 Every sixth window is also placed where nothing is right: in its own reference mirrored, in another site's, and in its
 own with heights of another place. Told are the shares that are believed at the product's limits, and the same for
 limits on the probability of chance alone (the ROC).
@@ -29,13 +30,14 @@ from numpy.typing import NDArray
 from skymoor.config import load_site
 from skymoor.geometry.similarity import Similarity, umeyama
 from skymoor.lift import lift
-from skymoor.match import DecoyOptions, SearchOptions, decoy_scores, match_placed, search_placements
-from skymoor.match.decoys import mirrored
+from skymoor.match import DecoyOptions, Placement, SearchOptions, match_placed
+from skymoor.match.decoys import made_decoys, mirrored
+from skymoor.match.search import Sized, search_in
 from skymoor.overlay import lay_on_reference, nadir_raster, reference_raster
 from skymoor.reference import read_reference
 from skymoor.register import chance_probability, height_agreement, judge, register
 from skymoor.settings import Options
-from skymoor.types import Reference, Registration, Render, View
+from skymoor.types import Raster, Reference, Registration, Render, View, no_progress
 
 Array = NDArray[np.float64]
 RIGHT_M = 2.0
@@ -43,7 +45,8 @@ CERTAINLY_REFUSED = 0.3
 # Some hundred searches have to be cheap: at a third of the product's resolution, over few scales, with few decoys. True
 # places are harder to tell from chance so, for the scores of both are of fewer pixels.
 SEARCH = SearchOptions(heading_step_deg=8.0, reference_px=160, template_px=64, keep=4, fine_px=256)
-DECOYS = DecoyOptions(count=5, keep=3)
+DECOYS = DecoyOptions(count=5)
+OPTIONS = Options()
 SCALE_RANGE = 1.15
 
 
@@ -97,44 +100,74 @@ def window(model: Model, rng: np.random.Generator) -> Render | None:
 
 def placed_in(
     render: Render, reference: Reference, metres: float, rng: np.random.Generator
-) -> tuple[Registration, list[float]]:
-    """As the pipeline places a render, and the scores of its decoys; scales within `SCALE_RANGE` of the true one."""
-    options = Options()
-    picture, target = nadir_raster(render, options.match.min_height_confidence), reference_raster(reference)
+) -> tuple[Registration, list[Registration]]:
+    """The render as the pipeline places it, and so each of its decoys, with the others for its decoys.
+
+    Scales are searched within `SCALE_RANGE` of the true one.
+    """
+    picture, target = nadir_raster(render, OPTIONS.match.min_height_confidence), reference_raster(reference)
     px = render.view.pixel * metres / reference.grid.pixel_m
     scales = {"min_scale": px / SCALE_RANGE, "max_scale": px * SCALE_RANGE}
-    placements = search_placements(picture, target, **scales, options=SEARCH)
-    if not placements:
+    sized = Sized(target)
+    renders = [render, *(as_render(decoy, render.view) for decoy in made_decoys(picture, DECOYS, rng))]
+    places = []
+    for one in renders:
+        raster = nadir_raster(one, OPTIONS.match.min_height_confidence)
+        places.append(search_in(sized, raster, **scales, options=SEARCH, progress=no_progress))
+    if not places[0]:
         return Registration(registered=False, reason="too small", enu_from_level=None), []
-    chance = decoy_scores(picture, target, **scales, options=SEARCH, decoys=DECOYS, rng=rng)
-    probability = chance_probability(placements[0].score, chance)
-    if probability > CERTAINLY_REFUSED:  # far beyond the product's limit: what follows cannot change the answer
-        diagnostics = {"search_score": placements[0].score, "chance_probability": probability}
-        refused = Registration(registered=False, reason="chance", enu_from_level=None, diagnostics=diagnostics)
-        return refused, chance
-    found = []
-    for k, placement in enumerate(placements[:1]):
-        matrix = placement.matrix(picture.mask.shape)
-        pairs, _ = match_placed(picture, target, matrix, options.match.dense.engine, options.match.cyclic, rng=rng)
-        metres_per_level = placement.scale * reference.grid.pixel_m / render.view.pixel
-        matches = lift(pairs, render, reference, metres_per_level, options.lift)
-        registration = register(matches, reference.grid.pixel_m, options.register, rng=rng, with_covariance=False)
-        heights = None
-        if registration.registered:
-            _, up = lay_on_reference(render, registration, reference, options.match.min_height_confidence)
-            heights = height_agreement(up, reference.height, reference.grid.pixel_m)
-        scores = [placement.score, *(p.score for j, p in enumerate(placements) if j != k)]
-        found.append(judge(registration, scores, len(pairs), options.register, decoys=chance, heights=heights))
-    return max(found, key=lambda one: (one.registered, one.diagnostics.get("cells", 0.0))), chance
+    judged = []
+    for k, (one, found) in enumerate(zip(renders, places, strict=True)):
+        chance = [other[0].score for j, other in enumerate(places) if j not in (0, k) and other]
+        if found:
+            judged.append(believed(one, found, chance, reference, rng))
+    return judged[0], judged[1:]
 
 
-def decoys(model: str, number: int, scores: list[float]) -> list[dict[str, object]]:
-    """Each decoy as if it were the picture, judged by the others: wrong, whatever it scores."""
-    rows: list[dict[str, object]] = []
-    for k, score in enumerate(scores):
-        probability = chance_probability(score, scores[:k] + scores[k + 1 :])
-        rows.append({"model": model, "window": number, "kind": "decoy", "chance_probability": probability})
-    return rows
+def as_render(decoy: Raster, view: View) -> Render:
+    """A decoy as if a model had been rendered so."""
+    rows, columns = np.indices(decoy.mask.shape)
+    x, y = view.x0 + (columns + 0.5) * view.pixel, -(view.y0 + (rows + 0.5) * view.pixel)
+    heights = decoy.height if decoy.height is not None else np.zeros(decoy.mask.shape)
+    known = decoy.mask & np.isfinite(heights)
+    xyz = np.where(known[..., None], np.stack([x, y, heights * view.pixel], axis=-1), np.nan).astype(np.float32)
+    return Render(view, decoy.rgb, xyz, known.astype(np.float32))
+
+
+def believed(
+    render: Render, places: list[Placement], chance: list[float], reference: Reference, rng: np.random.Generator
+) -> Registration:
+    """A found place matched, registered and judged as in the product; not matched where chance says all."""
+    scores = [place.score for place in places]
+    probability = chance_probability(scores[0], chance)
+    if probability > CERTAINLY_REFUSED:
+        diagnostics = {"search_score": scores[0], "chance_probability": probability}
+        return Registration(registered=False, reason="chance", enu_from_level=None, diagnostics=diagnostics)
+    match = OPTIONS.match
+    picture, target = nadir_raster(render, match.min_height_confidence), reference_raster(reference)
+    matrix = places[0].matrix(picture.mask.shape)
+    pairs, _ = match_placed(picture, target, matrix, match.dense.engine, match.cyclic, rng=rng)
+    metres_per_level = places[0].scale * reference.grid.pixel_m / render.view.pixel
+    matches = lift(pairs, render, reference, metres_per_level, OPTIONS.lift)
+    found = register(matches, reference.grid.pixel_m, OPTIONS.register, rng=rng, with_covariance=False)
+    heights = None
+    if found.registered:
+        _, up = lay_on_reference(render, found, reference, match.min_height_confidence)
+        heights = height_agreement(up, reference.height, reference.grid.pixel_m)
+    return judge(found, scores, len(pairs), OPTIONS.register, decoys=chance, heights=heights)
+
+
+def row_of(model: Model, number: int, kind: str, found: Registration, render: Render | None) -> dict[str, object]:
+    """One case; `render` where an error can be told."""
+    return {
+        "model": model.name,
+        "window": number,
+        "kind": kind,
+        "registered": found.registered,
+        "reason": found.reason,
+        "error_m": error_m(render, found, model.enu_from_level) if render else None,
+        **{key: found.diagnostics.get(key) for key in KEYS},
+    }
 
 
 def error_m(render: Render, found: Registration, truth: Similarity) -> float:
@@ -179,19 +212,10 @@ def main() -> None:
             metres, start = model.enu_from_level.scale, time.perf_counter()
             cases = [("own", model.reference), *(wrong_references(model, others, rng) if k % 6 == 0 else [])]
             for kind, reference in cases:
-                found, chance = placed_in(render, reference, metres, rng)
-                if kind == "own":
-                    rows += decoys(model.name, k, chance)
-                row = {
-                    "model": model.name,
-                    "window": k,
-                    "kind": kind,
-                    "registered": found.registered,
-                    "reason": found.reason,
-                    "error_m": error_m(render, found, model.enu_from_level) if kind != "another" else None,
-                    **{key: found.diagnostics.get(key) for key in KEYS},
-                }
-                rows.append(row)
+                found, decoys = placed_in(render, reference, metres, rng)
+                rows.append(row_of(model, k, kind, found, None if kind == "another" else render))
+                # Elsewhere the picture's own decoys say nothing new.
+                rows += [row_of(model, k, "decoy", one, None) for one in decoys if kind == "own"]
             print(f"{model.name} {k}: {time.perf_counter() - start:.0f} s", flush=True)
             if arguments.results:
                 arguments.results.write_text(json.dumps({"summary": told(rows), "rows": rows}, indent=1) + "\n")
@@ -226,6 +250,7 @@ def told(rows: list[dict[str, object]]) -> dict[str, object]:
         "believed with those": sum(bool(r["registered"]) for r in half),
         "believed with those and wrong": sum(bool(r["registered"]) and not right(r) for r in half),
         "decoys": len(decoyed),
+        "decoys believed": sum(bool(r["registered"]) for r in decoyed),
         "roc: limit on chance; share passed of true cases, wrong places, decoys": roc,
     }
 

@@ -67,7 +67,7 @@ def _rows(folder: Path, frame: EnuFrame, count: int, *, registered: bool) -> lis
     rows = []
     for k in range(count):
         name = f"air/{k:03d}.jpg" if k else "air/<b>ä & 駅.jpg"
-        assert cv2.imwrite(str(folder / "air" / f"{k:03d}.jpg"), np.full((30, 40, 3), 90, np.uint8))
+        assert cv2.imwrite(str(folder / name), np.full((30, 40, 3), 90, np.uint8))
         east, north, up = 20 * np.cos(k), 20 * np.sin(k), 40.0
         lat, lon, height = frame.lla_from_enu([[east, north, up]])[0]
         place = (lat, lon, height, east, north, up, 0.0, 1.0, 0.0, 0.0, 2.1, 3.8, 0.2, 0.9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -260,13 +261,13 @@ def test_below_the_ellipsoid_and_former_positions(run: Path) -> None:
 
 
 def test_odm_reads_positions_and_control(out: Path) -> None:
-    head, *lines = (out / "odm" / "geo.txt").read_text().splitlines()
+    head, *lines = (out / "odm" / "airborne" / "geo.txt").read_text().splitlines()
     assert head == "EPSG:4326"
     words = [line.split() for line in lines]
     assert [one[0] for one in words] == ["p0.jpg", "p1.jpg", "p2.jpg", "p3.png"]
     _assert_cameras([tuple(map(float, one[1:4])) for one in words])
     assert words[0][4:] == ["0", "0", "0", "2.1000", "3.8000"]
-    head, *lines = (out / "odm" / "gcp_list.txt").read_text().splitlines()
+    head, *lines = (out / "odm" / "airborne" / "gcp_list.txt").read_text().splitlines()
     assert head == "EPSG:4326"
     named = {camera.image.rpartition("/")[2]: camera for camera in cameras()}
     assert len({line.split()[6] for line in lines}) == 20
@@ -280,6 +281,18 @@ def test_odm_reads_positions_and_control(out: Path) -> None:
         np.testing.assert_allclose(px.ravel(), [float(u), float(v)], atol=0.05)
     with pytest.raises(InputError, match=r"x y\.jpg: ODM's lists part words by spaces"):
         odm_geo([CameraRow("x y.jpg", "airborne", 0, "REGISTERED", 1.0, 2.0, 3.0)])
+
+
+def test_photos_of_one_name_in_two_folders_stay_apart_for_odm(run: Path, tmp_path: Path) -> None:
+    both = tmp_path / "run"
+    shutil.copytree(run, both)
+    table = (both / "cameras.csv").read_text().splitlines()
+    first = table[1].replace("air/p0.jpg", "ground/p0.jpg").replace(",airborne,", ",ground0,")
+    (both / "cameras.csv").write_text("\n".join([*table, first]) + "\n")
+    assert main(["export", str(both), "--to", "odm", "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    for name, count in (("airborne", 4), ("ground0", 1)):
+        _, *lines = (tmp_path / "out/odm" / name / "geo.txt").read_text().splitlines()
+        assert [line.split()[0] for line in lines][:1] == ["p0.jpg"] and len(lines) == count
 
 
 def test_an_unknown_format_is_told(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import socket
 import subprocess
@@ -34,6 +35,17 @@ def test_everything_lies_in_the_same_metres(tmp_path: Path) -> None:
     np.testing.assert_allclose(frustums[0].position, [20, 0, 40], atol=1e-6)
     np.testing.assert_array_equal(frustums[0].enu_from_camera_wxyz, [0, -1, 0, 0])
     assert scene.notes == ()
+
+
+def test_photos_that_have_moved_are_told_once(tmp_path: Path) -> None:
+    run = finished_run(tmp_path)
+    summary = json.loads((run / "summary.json").read_text())
+    summary["sets"][0]["folder"] = str(tmp_path / "moved")
+    (run / "summary.json").write_text(json.dumps(summary))
+    scene = scene_of(Result.read(run))
+    (note,) = scene.notes
+    assert str(tmp_path / "moved") in note and "not where the run found it" in note
+    assert sum(map(len, scene.cameras.values())) == 9
 
 
 def test_a_draped_surface_has_no_triangle_over_a_hole() -> None:

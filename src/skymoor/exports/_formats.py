@@ -159,9 +159,15 @@ def _exif(source: Source, folder: Path) -> str:
 
 
 def _odm(source: Source, folder: Path) -> str:
-    (folder / "geo.txt").write_text(odm_geo(source.rows), encoding="utf-8")
-    marks = [odm_gcp_list(component, source.result.frame, part.name) for part, component in source.components()]
-    (folder / "gcp_list.txt").write_text("EPSG:4326\n" + "".join(marks), encoding="utf-8")
+    # One project for each set: ODM knows photos by their bare names, which two folders may share.
+    marks: dict[str, str] = {row.set: "" for row in source.rows}
+    for part, component in source.components():
+        marks[part.set] = marks.get(part.set, "") + odm_gcp_list(component, source.result.frame, part.name)
+    for name, lines in marks.items():
+        (folder / name).mkdir()
+        own = [row for row in source.rows if row.set == name]
+        (folder / name / "geo.txt").write_text(odm_geo(own), encoding="utf-8")
+        (folder / name / "gcp_list.txt").write_text("EPSG:4326\n" + lines, encoding="utf-8")
     source.notes.append(f"heights are {ELLIPSOID}")
     return ELLIPSOID
 

@@ -75,6 +75,8 @@ def scene_of(result: Result) -> Scene:
         if model is not None:
             layers.append(_sparse(one, model))
         cameras[one.name] = _frustums(result, one, model)
+        if cameras[one.name]:
+            notes += _without_photos(result, cameras[one.name][0])
     if not layers and not any(cameras.values()):
         raise InputError(
             f"{result.folder}: nothing of this run has a place, so there is nothing to see; read report.html"
@@ -99,6 +101,14 @@ def _model(result: Result, component: PlacedComponent) -> pycolmap.Reconstructio
         return result.model(component)
     except InputError:  # the rest can still be seen
         return None
+
+
+def _without_photos(result: Result, first: Frustum) -> list[str]:
+    try:
+        result.photo(first.row.image)
+    except InputError as error:  # cameras are seen as they are, and one looks to see whether the folder has moved
+        return [str(error)]
+    return []
 
 
 def _sparse(component: PlacedComponent, model: pycolmap.Reconstruction) -> Layer:

@@ -54,7 +54,9 @@ def serve(result: Result, scene: Scene, port: int) -> Any:
     """A running viser server of the scene; the caller stops it."""
     viser = require("viser", "view")
     with redirect_stdout(io.StringIO()):  # it greets whatever it is told; our own line says the address
-        server = viser.ViserServer(host=HOST, port=port, label=f"skymoor: {result.summary.get('site', '')}")
+        server = viser.ViserServer(
+            host=HOST, port=port, verbose=False, label=f"skymoor: {result.summary.get('site', '')}"
+        )
     server.scene.set_up_direction("+z")
     _aim(server, scene)
     with server.gui.add_folder("Layers"):
@@ -96,7 +98,7 @@ def _aim(server: Any, scene: Scene) -> None:
 
     def look(client: Any) -> None:
         client.camera.up_direction = (0.0, 0.0, 1.0)
-        client.camera.position = tuple(middle + [0.0, -0.9 * reach, 0.6 * reach])
+        client.camera.position = tuple(middle + [0.0, -0.75 * reach, 0.5 * reach])
         client.camera.look_at = tuple(middle - [0.0, 0.0, 0.3 * reach])
 
     server.on_client_connect(look)
