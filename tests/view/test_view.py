@@ -80,7 +80,9 @@ def test_the_viewer_answers_until_it_is_interrupted(tmp_path: Path) -> None:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     # A process of its own: viser leaves sockets and an event loop to the end of the process.
-    code = f"from skymoor.cli import main; main(['view', {str(run)!r}, '--port', '{port}', '--no-open'])"
+    # A background job's children are born deaf to Ctrl+C.
+    listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code = listen + f"from skymoor.cli import main; main(['view', {str(run)!r}, '--port', '{port}', '--no-open'])"
     with subprocess.Popen([sys.executable, "-u", "-c", code], stdout=subprocess.PIPE, text=True) as viewer:
         try:
             assert viewer.stdout is not None

@@ -44,7 +44,7 @@ class RegisterOptions:
     min_inlier_ratio: float = 0.2
     min_cells: int = 10
     max_tilt_deg: float = 10.0
-    min_score: float = 40.0
+    min_score: float = 36.0
     min_score_margin: float = 1.3
     max_chance: float = 0.005
     min_height_agreement: float = 0.2
