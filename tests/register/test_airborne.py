@@ -165,8 +165,8 @@ class TestJudge:
     @pytest.mark.parametrize(
         ("change", "scores", "word"),
         [
-            ({}, [39.0, 10.0], "scores 39"),
-            ({}, [39.0], "scores 39"),
+            ({}, [35.0, 10.0], "scores 35"),
+            ({}, [35.0], "scores 35"),
             ({}, [100.0, 90.0], "another place"),
             ({}, [60.0, 100.0], "another place"),
             ({"n_inliers": 49, "n_matches": 100}, SCORES, "49 matches"),
