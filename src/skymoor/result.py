@@ -96,7 +96,7 @@ class Result:
         """Every image of the run, as cameras.csv has them. Raises `InputError` when that cannot be read."""
         return tuple(read_camera_rows(self.folder / "cameras.csv"))
 
-    @property
+    @cached_property
     def placed(self) -> tuple[CameraRow, ...]:
         """Those with a place."""
         return tuple(row for row in self.cameras if row.lat is not None)
