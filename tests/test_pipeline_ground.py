@@ -121,6 +121,39 @@ def test_without_an_airborne_component_all_are_refused(
     assert register_ground_sets([], []) == []
 
 
+def test_an_error_in_one_component_refuses_that_one(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    stubbed: tuple[list[DepthMap], Similarity, TileWorld],
+) -> None:
+    maps, _, world = stubbed
+
+    def breaks(found: Sequence[DepthMap], *_: Any, **__: Any) -> Registration:
+        if len(found) == len(maps):
+            raise np.linalg.LinAlgError("Singular matrix")
+        return Registration(True, "", Similarity.identity(), diagnostics={"score": 30.0})
+
+    monkeypatch.setattr(pipeline_ground, "exhaustive", breaks)
+    ground = GroundSetOptions(method="exhaustive")
+    with Store.open(tmp_path) as store:
+        job = Job(None, None, Options(ground=ground), store, 0, lambda _: no_progress, "ground0", "air.model")  # type: ignore[arg-type]
+        world_base = airborne_of(world, store)
+        monkeypatch.setattr(
+            pipeline_ground, "densify_component", lambda name, level, *_: stored(name, level, maps, job)
+        )
+        ((broken, whole),) = register_ground_sets([job], [world_base])
+    assert not broken.registration.registered
+    assert broken.registration.reason == "internal error (LinAlgError: Singular matrix); run.log has the traceback"
+    assert whole.registration.registered
+    assert "Traceback" in caplog.text and "ground0-0: failed unexpectedly" in caplog.text
+
+
+def stored(name: str, level: Component, maps: Sequence[DepthMap], job: Job) -> list[DepthMap]:
+    own = list(maps[: len(level.cameras)])
+    return job.store.stage(f"{name}.depths", lambda: own)
+
+
 @dataclass(frozen=True)
 class Metres:
     """Says the true distances of the world's walk, times a factor."""

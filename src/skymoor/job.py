@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from skymoor.densify import MetricScale, PhotoWitness
+from skymoor.errors import BackendUnavailable, InputError
 from skymoor.geometry.similarity import Similarity
 from skymoor.ground import CameraWitness
 from skymoor.model import SceneModel
@@ -30,6 +33,10 @@ from skymoor.types import (
     Registration,
     Render,
 )
+
+T = TypeVar("T")
+
+LOG = logging.getLogger("skymoor")
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,3 +135,23 @@ def refused(name: str, component: Component, reason: str) -> Placed:
     """A component that has no place, with the reason."""
     nothing = Registration(registered=False, reason=reason, enu_from_level=None)
     return Placed(name, component, Similarity.identity(), nothing)
+
+
+def or_else(action: Callable[[], T], otherwise: Callable[[str], T], what: str) -> T:
+    """The result of `action`; where it fails unexpectedly, that of `otherwise`, which is given the reason.
+
+    An error in one component must not cost the results of the others: it is logged with its traceback. What ends the
+    run all the same are wrong input, a missing engine, a full disk or memory, and the user's interrupt.
+
+    Args:
+        action: the work.
+        otherwise: makes a refusal of the reason.
+        what: the name of the component or set, for the log.
+    """
+    try:
+        return action()
+    except (InputError, BackendUnavailable, OSError, MemoryError):
+        raise
+    except Exception as error:
+        LOG.exception("%s: failed unexpectedly", what)
+        return otherwise(f"internal error ({type(error).__name__}: {error}); run.log has the traceback")

@@ -25,7 +25,7 @@ from skymoor.choice import files_of
 from skymoor.densify import DepthEstimator, PhotoWitness, blind_map, hear_photos
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry.similarity import Similarity
-from skymoor.job import Hypothesis, Job, Placed, refused
+from skymoor.job import Hypothesis, Job, Placed, or_else, refused
 from skymoor.lift import lift
 from skymoor.match import Placement, decoy_scores, match_placed, search_placements
 from skymoor.model import SceneModel
@@ -51,7 +51,13 @@ from skymoor.weights import stamps
 def register_airborne(job: Job) -> list[Placed]:
     """Every component of a set of airborne photos, placed on Earth or refused."""
     components = reconstruct_set("reconstruct", job, job.options.reconstruct)
-    return [register_component(f"{job.name}-{k}", component, job) for k, component in enumerate(components)]
+    return [_register_or_refuse(f"{job.name}-{k}", component, job) for k, component in enumerate(components)]
+
+
+def _register_or_refuse(name: str, component: Component, job: Job) -> Placed:
+    return or_else(
+        lambda: register_component(name, component, job), lambda reason: refused(name, component, reason), name
+    )
 
 
 def reconstruct_set(stage: str, job: Job, options: ReconstructOptions) -> list[Component]:

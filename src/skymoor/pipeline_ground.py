@@ -31,7 +31,7 @@ from skymoor.ground import (
     search_ground,
     walls_picture,
 )
-from skymoor.job import Hypothesis, Job, Placed, refused
+from skymoor.job import Hypothesis, Job, Placed, or_else, refused
 from skymoor.orient import estimate_ground_gravity, level_from_gravity
 from skymoor.pipeline import densify_component, ground_of, reconstruct_set
 from skymoor.render import oblique_views
@@ -60,20 +60,46 @@ def register_ground_sets(jobs: Sequence[Job], airborne: Sequence[Placed]) -> lis
     levelled = []
     for number, job in enumerate(jobs):
         components = reconstruct_set(f"{job.name}.reconstruct", job, job.options.ground.reconstruct)
-        levelled += [(number, _level(f"{job.name}-{k}", c, ready, job)) for k, c in enumerate(components)]
-    searched = [(item, _search(item, ready, jobs[n])) for n, item in levelled if ready and item.depths]
+        levelled += [(number, _level_or_refuse(f"{job.name}-{k}", c, ready, job)) for k, c in enumerate(components)]
+    searched = [(item, _search_or_refuse(item, ready, jobs[n])) for n, item in levelled if ready and item.depths]
     names = [item.name for item, _ in searched]
-    found = decide_jointly(
-        names,
-        [answers for _, answers in searched],
-        [item.depths for item, _ in searched],
-        jobs[0].options.ground.joint,
+    found = or_else(
+        lambda: decide_jointly(
+            names,
+            [answers for _, answers in searched],
+            [item.depths for item, _ in searched],
+            jobs[0].options.ground.joint,
+        ),
+        lambda reason: [refused(item.name, item.component, reason).registration for item, _ in searched],
+        "ground components together",
     )
     decided = dict(zip(names, found, strict=True))
     places = {item.name: _hypotheses(item, answers) for item, answers in searched}
     levelled = [(n, replace(item, hypotheses=places.get(item.name, []))) for n, item in levelled]
-    placed = [(n, _heard(item, decided.get(item.name), ready, jobs[n])) for n, item in levelled]
+    placed = [(n, _heard_or_refuse(item, decided.get(item.name), ready, jobs[n])) for n, item in levelled]
     return [[item for n, item in placed if n == number] for number in range(len(jobs))]
+
+
+def _level_or_refuse(name: str, component: Component, airborne: _Airborne | None, job: Job) -> Placed:
+    return or_else(
+        lambda: _level(name, component, airborne, job), lambda reason: refused(name, component, reason), name
+    )
+
+
+def _search_or_refuse(item: Placed, airborne: _Airborne, job: Job) -> Answers:
+    return or_else(
+        lambda: _search(item, airborne, job),
+        lambda reason: OneAnswer(refused(item.name, item.component, reason).registration),
+        item.name,
+    )
+
+
+def _heard_or_refuse(item: Placed, found: Registration | None, airborne: _Airborne | None, job: Job) -> Placed:
+    return or_else(
+        lambda: _heard(item, found, airborne, job),
+        lambda reason: replace(item, registration=refused(item.name, item.component, reason).registration),
+        item.name,
+    )
 
 
 def _hypotheses(item: Placed, answers: Answers) -> list[Hypothesis]:

@@ -18,7 +18,7 @@ from skymoor.geo.grid import Grid
 from skymoor.geometry.adjust import point_covariance
 from skymoor.geometry.similarity import Similarity
 from skymoor.register import RegisterOptions, camera_accuracy, judge, register, restated
-from skymoor.register.covariance import SHAPE_FACTOR
+from skymoor.register.covariance import SHAPE_FACTOR, matched_covariance
 from skymoor.types import Calibration, Camera, Matches2D, Matches3D, Reference, Registration
 
 Array = NDArray[np.float64]
@@ -56,6 +56,27 @@ def test_a_planted_place_comes_back(outliers: float) -> None:
     judged = judge(found, SCORES, 1000)
     assert judged.registered and judged.reason == ""
     assert judged.diagnostics["search_score"] == 100 and judged.diagnostics["second_score"] == 22
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 90.0, 53.0])
+def test_matches_on_one_vertical_plane_have_an_accuracy(heading_deg: float) -> None:
+    """A single wall: its matches are on a line in plan, which leaves no slope across that line to be told."""
+    rng = np.random.default_rng(4)
+    heading = np.radians(heading_deg)
+    east, north = (np.round(f(heading), 2) for f in (np.sin, np.cos))
+    along, up = rng.uniform(-15, 15, (2, 400)), rng.uniform(0, 9, 400)
+    wall = np.column_stack([east * along[0], north * along[0], up])
+    noise = rng.normal(size=(400, 2)) * [0.2, 0.35]
+    target = wall + np.column_stack([east * noise[:, 0], north * noise[:, 0], noise[:, 1]])  # errors within the wall
+    covariance, centre, _ = matched_covariance(
+        wall, target, Similarity.identity(), sigma_m=SIGMA_M, tilt_sigma_deg=3.0, rng=rng
+    )
+    sigma_m = np.sqrt(np.diag(point_covariance(covariance, centre, wall.mean(axis=0))[0]))
+    # Not better than 400 independent matches tell along the wall and up, and no worse than one match does.
+    assert np.hypot(sigma_m[0], sigma_m[1]) > 0.7 * 0.2 / np.sqrt(400) and sigma_m[2] > 0.7 * 0.35 / np.sqrt(400)
+    assert (sigma_m < 0.35).all()
+    found = registered(Matches3D(wall, target, Matches2D(np.zeros((400, 2)), np.zeros((400, 2)), np.ones(400))))
+    assert found.registered and found.covariance is not None
 
 
 def test_residuals_are_estimate_minus_truth() -> None:

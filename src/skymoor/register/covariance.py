@@ -22,6 +22,8 @@ REACHES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # over which errors are al
 SHARES = (0.0, 0.03, 0.1, 0.3, 0.6, 0.9)  # of the variance that is so
 MATCHES, LIKELIHOOD_MATCHES = 1000, 400  # of which the covariance and the likelihood are made, at most
 MIN_MATCHES = 8
+PLAN_RANK = 1e-6  # spread across a line in plan, of that along it, below which places are on the line
+SMALLEST_VARIANCE_M2 = 1e-12  # a micrometre: residuals that are exactly zero have no likelihood
 SHAPE_FACTOR = 2.0
 """By which standard deviations of camera centres exceed what independent pixel errors would make them. Errors of
 pixels are not independent: docs/benchmarks.md has what was measured."""
@@ -117,7 +119,7 @@ def _likelihoods(kinds: list[Array], plan: Array, near: list[Array]) -> list[_Ki
         near: correlations (n, n), one per reach.
     """
     n = len(plan)
-    design = np.column_stack([np.ones(n), plan - plan.mean(axis=0)])
+    design = _plane_basis(plan)
     free = n - design.shape[1]
     logs, variances = (np.zeros((len(kinds), len(near), len(SHARES))) for _ in range(2))
     for k, alike in enumerate(near):
@@ -129,12 +131,23 @@ def _likelihoods(kinds: list[Array], plan: Array, near: list[Array]) -> list[_Ki
             for kind, residuals in enumerate(kinds):
                 left = solve_triangular(root, residuals, lower=True)
                 left = left - fit @ np.linalg.solve(normal, fit.T @ left)
-                variance = float(np.mean(np.sum(left**2, axis=0))) / free
+                variance = max(float(np.mean(np.sum(left**2, axis=0))) / free, SMALLEST_VARIANCE_M2)
                 logs[kind, k, m] = -residuals.shape[1] * (volume + free * np.log(variance) / 2)
                 variances[kind, k, m] = variance
     likely = np.exp(logs - logs.max(axis=(1, 2), keepdims=True))
     likely /= likely.sum(axis=(1, 2), keepdims=True)
     return [_Kind(*pair) for pair in zip(likely, variances, strict=True)]
+
+
+def _plane_basis(plan: Array) -> Array:
+    """Orthonormal basis (n, rank) of the functions a + b x + c y at places (n, 2).
+
+    Matches on a vertical wall are on one line in plan: b and c cannot be told apart there, and the rank is 2.
+    """
+    design = np.column_stack([np.ones(len(plan)), plan - plan.mean(axis=0)])
+    design[:, 1:] /= max(float(np.abs(design[:, 1:]).max()), 1e-12)
+    basis, sizes, _ = np.linalg.svd(design, full_matrices=False)
+    return np.asarray(basis[:, sizes > PLAN_RANK * sizes[0]])
 
 
 def _mean_covariances(gap: Array, reaches: list[float], kinds: list[_Kind], *, white: float) -> list[Array]:
