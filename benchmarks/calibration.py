@@ -23,10 +23,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
-from skymoor.geo.frame import EnuFrame
-from skymoor.geo.grid import Grid
-from skymoor.geometry.similarity import Similarity
-from skymoor.register import camera_accuracy, register
+from skymoor.geo import EnuFrame, Grid
+from skymoor.geometry import Similarity
+from skymoor.registration import camera_accuracy, register
 from skymoor.types import Calibration, Matches2D, Matches3D, Reference
 
 Array = NDArray[np.float64]
@@ -95,7 +94,7 @@ def _outcome(rng, found, truth, bias, height_m, side_m, drawn):  # type: ignore[
     true_enu = centres + truth.translation
     believed = centres + np.column_stack([np.zeros((count, 2)), focal_sigma * rng.normal() * centres[:, 2]])
     # The product believes formal covariances to be half of the truth; here they are the truth.
-    from skymoor.register.covariance import SHAPE_FACTOR
+    from skymoor.registration.covariance import SHAPE_FACTOR
 
     believed = believed + shape_m * rng.normal(size=(count, 3))
     shape = np.tile(np.eye(3) * (shape_m / SHAPE_FACTOR) ** 2, (count, 1, 1))

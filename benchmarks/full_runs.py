@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from skymoor.result import Result
-from skymoor.store import read_truth_csv
+from skymoor.results.read import Result
+from skymoor.results.tables import read_truth_csv
 
 PRESETS = ("office-park", "industrial", "flooded")
 SMALL = ("--radius-m", "45", "--airborne", "18", "--groups", "0", "--security", "0", "--photo-width", "480")

@@ -24,9 +24,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from paper_tables import provenance
 
-from skymoor.geo.frame import EnuFrame
-from skymoor.ground import AirborneWalls, WallAnswers, search_ground
-from skymoor.store import read_truth_csv
+from skymoor.geo import EnuFrame
+from skymoor.ground.walls import AirborneWalls, WallAnswers, search_ground
+from skymoor.results.tables import read_truth_csv
 from skymoor.store._cache import read_cache
 from skymoor.types import DepthMap
 

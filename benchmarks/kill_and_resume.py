@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-PROGRAM = "import sys; from skymoor.cli import main; sys.exit(main())"
+PROGRAM = "import sys; from skymoor.cli.main import main; sys.exit(main())"
 FINISHED = (0, 3)
 ATTEMPTS = 2  # kills of one stage
 

@@ -27,6 +27,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skymoor.engines.weights import weights_folder
 from skymoor.errors import BackendUnavailable
 from skymoor.match import (
     AlikedMatcher,
@@ -40,7 +41,6 @@ from skymoor.match import (
 )
 from skymoor.match.flow import warp_from_pairs
 from skymoor.types import Matches2D, Raster, Warp
-from skymoor.weights import weights_folder
 
 Array = NDArray[np.float64]
 RIGHT_PX = 5.0

@@ -27,9 +27,9 @@ import torch
 sys.path.insert(0, str(Path(__file__).parent))
 from scene_models import _Cameras, airborne_scene, cached, compare
 
-from skymoor.model.nerf import LossWeights, NerfBuilder, Sizes, UncertaintyOptions
+from skymoor.model import NerfBuilder, nadir_view, oblique_views
+from skymoor.model.nerf import LossWeights, Sizes, UncertaintyOptions
 from skymoor.model.nerf.prior import Votes
-from skymoor.render import nadir_view, oblique_views
 from skymoor.simulate.light.photo import true_depth, true_labels
 from skymoor.simulate.mesh import Label
 from skymoor.simulate.site import Site, true_enu_from_sfm

@@ -26,7 +26,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before PyTorch: waiting t
 
 import torch
 
-from skymoor.model.nerf import NerfBuilder, Sizes, UncertaintyOptions
+from skymoor.model import NerfBuilder
+from skymoor.model.nerf import Sizes, UncertaintyOptions
 from skymoor.model.nerf.box import INNER_PER_LEVEL
 from skymoor.model.nerf.render import look
 from skymoor.store._cache import read_cache

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from skymoor.geo.frame import EnuFrame
-from skymoor.store import read_cameras_csv, read_truth_csv
+from skymoor.geo import EnuFrame
+from skymoor.results.tables import read_cameras_csv, read_truth_csv
 
 PAPER_SITE = {"office-park": "A01", "industrial": "M07", "flooded": "A08"}
 # Site: mean absolute, M-dist, mean relative, standoff, (CE90, LE90).

@@ -28,16 +28,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skymoor.config import load_site
-from skymoor.geometry.similarity import Similarity, umeyama
-from skymoor.lift import lift
+from skymoor.geometry import Similarity, umeyama
 from skymoor.match import DecoyOptions, Placement, SearchOptions, match_placed
 from skymoor.match.decoys import made_decoys, mirrored
 from skymoor.match.search import Sized, search_in
-from skymoor.overlay import lay_on_reference, nadir_raster, reference_raster
-from skymoor.reference import read_reference
-from skymoor.register import chance_probability, height_agreement, judge, register
-from skymoor.settings import Options
+from skymoor.pipeline.options import Options
+from skymoor.pipeline.overlay import lay_on_reference, nadir_raster, reference_raster
+from skymoor.pipeline.site import load_site
+from skymoor.reference.read import read_reference
+from skymoor.registration import chance_probability, height_agreement, judge, lift, register
 from skymoor.types import Raster, Reference, Registration, Render, View, no_progress
 
 Array = NDArray[np.float64]

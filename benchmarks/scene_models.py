@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from skymoor.model import oblique_views
 from skymoor.model.nerf.uncertainty import reliability
-from skymoor.render import oblique_views
 from skymoor.simulate import SiteOptions
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label

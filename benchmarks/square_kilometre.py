@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from skymoor.config import load_site
 from skymoor.match import search_placements
-from skymoor.reference import read_reference
+from skymoor.pipeline.site import load_site
+from skymoor.reference.read import read_reference
 from skymoor.types import Raster, Reference
 
 

@@ -28,16 +28,16 @@ from numpy.typing import NDArray
 from paper_tables import print_table, provenance
 from scipy.spatial.transform import Rotation
 
-from skymoor.geometry.similarity import Similarity, umeyama
-from skymoor.render import RenderOptions, nadir_view, oblique_views, tiles
+from skymoor.geometry import Similarity, umeyama
+from skymoor.ground.tiles import cascade, exhaustive
+from skymoor.ground.tiles.images import AirborneTiles, Tile, airborne_tiles, shown_shares
+from skymoor.model import RenderOptions, nadir_view, oblique_views, tiles
 from skymoor.simulate import SiteOptions
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.plan import dates_of, place_of
 from skymoor.simulate.site import Site
 from skymoor.simulate.world import World
 from skymoor.store._cache import read_cache
-from skymoor.tile_search import cascade, exhaustive
-from skymoor.tile_search.pictures import AirborneTiles, Tile, airborne_tiles, shown_shares
 from skymoor.types import Array, Array32, Camera, DepthMap, Raster, Registration, Render, View, Warp
 
 Mask = NDArray[np.bool_]

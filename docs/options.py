@@ -16,7 +16,7 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
     """Called by mkdocs for each page."""
     if MARK not in markdown:
         return markdown
-    from skymoor.settings import Options
+    from skymoor.pipeline.options import Options
 
     return markdown.replace(MARK, "\n".join(_sections(Options())))
 

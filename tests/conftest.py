@@ -12,12 +12,12 @@ os.environ["HF_HUB_OFFLINE"] = "1"
 import numpy as np
 import pytest
 
-from flight import OPTIONS, Flight, SmallWorld, flight_of
-from pictures import Overhead, overhead
-from sharing import shared
 from skymoor.simulate.plan import dates_of
 from skymoor.simulate.site import Site, write_site
-from small_run import run
+from support.flight import OPTIONS, Flight, SmallWorld, flight_of
+from support.pictures import Overhead, overhead
+from support.sharing import shared
+from support.small_run import run
 
 
 @pytest.fixture

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 import skymoor
-from finished import finished_run
-from skymoor import api, commands
-from skymoor.arguments import Run
-from skymoor.options import parse_option
+from skymoor import api
+from skymoor.cli import commands
+from skymoor.cli.arguments import Run
+from skymoor.pipeline.option_parser import parse_option
+from support.finished import finished_run
 
 LEARNED = {"torch", "pycolmap", "plotly", "cv2", "numpy"}
 
@@ -40,9 +41,9 @@ def test_importing_costs_nothing() -> None:
     assert "skymoor" in loaded and loaded.isdisjoint(LEARNED)
 
 
-@pytest.mark.parametrize("first", ["", "import skymoor.pipeline;", "from skymoor.register import judge;"])
+@pytest.mark.parametrize("first", ["", "import skymoor.pipeline.airborne;", "from skymoor.register import judge;"])
 def test_the_name_of_the_stage_stays_with_the_function(first: str) -> None:
-    ask = f"{first}import skymoor; print(callable(skymoor.register), skymoor.register.__module__)"
+    ask = f"{first}import skymoor; print(callable(skymoor.register), skymoor.registration.__module__)"
     done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True", "skymoor.api"]
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from exported_run import write_run
-from finished import finished_run
-from skymoor.options import parse_option
+from skymoor.pipeline.option_parser import parse_option
 from skymoor.simulate.site import Site
-from small_run import FASTER
+from support.exported_run import write_run
+from support.finished import finished_run
+from support.small_run import FASTER
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 

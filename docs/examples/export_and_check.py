@@ -12,7 +12,7 @@ import numpy as np
 import pycolmap
 
 import skymoor
-from skymoor.exports import export
+from skymoor.results.export import export
 
 
 def main(run: Path, folder: Path) -> float:

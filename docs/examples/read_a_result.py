@@ -17,7 +17,11 @@ def main(run: Path, folder: Path) -> None:
         if row.east is not None:
             print(f"{row.image}: {row.lat:.7f}, {row.lon:.7f}, {row.height:.2f} m above the ellipsoid")
     folder.mkdir(parents=True, exist_ok=True)
-    figures = {"cameras": result.plot_cameras(), "residuals": result.plot_residuals(), "stages": result.plot_stages()}
+    figures = {
+        "cameras": skymoor.plot_cameras(result),
+        "residuals": skymoor.plot_residuals(result),
+        "stages": skymoor.plot_stages(result),
+    }
     for name, figure in figures.items():
         figure.write_html(folder / f"{name}.html")  # one file that needs no network
         print(folder / f"{name}.html")

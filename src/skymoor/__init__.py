@@ -9,23 +9,34 @@ here is imported when it is first asked for, so that `import skymoor` costs noth
 # through another library corrupts the heap. Keep this the first import of the package.
 import zlib  # noqa: F401, I001
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from skymoor.api import read, register
     from skymoor.errors import BackendUnavailable, InputError, SkymoorError
-    from skymoor.result import Result
+    from skymoor.results.read import Result
+    from skymoor.results.report.plots import plot_cameras, plot_residuals, plot_stages
 
-__all__ = ["BackendUnavailable", "InputError", "Result", "SkymoorError", "__version__", "read", "register"]
+__all__ = [
+    "BackendUnavailable",
+    "InputError",
+    "Result",
+    "SkymoorError",
+    "__version__",
+    "plot_cameras",
+    "plot_residuals",
+    "plot_stages",
+    "read",
+    "register",
+]
 __version__ = "0.1.0"
 
 _HOMES = {
     **dict.fromkeys(("BackendUnavailable", "InputError", "SkymoorError"), "skymoor.errors"),
-    "Result": "skymoor.result",
-    "read": "skymoor.api",
+    "Result": "skymoor.results.read",
+    **dict.fromkeys(("read", "register"), "skymoor.api"),
+    **dict.fromkeys(("plot_cameras", "plot_residuals", "plot_stages"), "skymoor.results.report.plots"),
 }
 
 
@@ -37,21 +48,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-class _Package(ModuleType):
-    """Keeps the name `skymoor.register` for the function: importing the stage of that name would put its module there.
-
-    The stage is had by `from skymoor.register import ...`, as everywhere in here.
-    """
-
-    @property
-    def register(self) -> Any:
-        return import_module("skymoor.api").register
-
-    @register.setter
-    def register(self, module: ModuleType) -> None:
-        pass
-
-
-sys.modules[__name__].__class__ = _Package

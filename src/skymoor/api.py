@@ -9,10 +9,10 @@ from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
 
-from skymoor import commands
-from skymoor.arguments import Run
+from skymoor.cli import commands
+from skymoor.cli.arguments import Run
 from skymoor.errors import InputError
-from skymoor.result import Result
+from skymoor.results.read import Result
 
 Where = str | PathLike[str]
 

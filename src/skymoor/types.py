@@ -15,10 +15,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from skymoor.geo.frame import EnuFrame
-from skymoor.geo.grid import Grid
-from skymoor.geometry.camera import Intrinsics
-from skymoor.geometry.similarity import Similarity
+from skymoor.geo import EnuFrame, Grid
+from skymoor.geometry import Intrinsics, Similarity
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from houses import from_the_air, houses
 from skymoor.densify import AgreementOptions, hear_photos
-from skymoor.geometry.similarity import Similarity
-from skymoor.ground import moved_map
+from skymoor.geometry import Similarity
+from skymoor.ground.walls import moved_map
 from skymoor.types import DepthMap
+from support.houses import from_the_air, houses
 
 ASIDE = Similarity(1.0, np.eye(3), np.array([9.0, -6.0, 0.0]))
 

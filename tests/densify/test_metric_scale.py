@@ -8,8 +8,7 @@ import pytest
 
 from skymoor.densify import MetricScale, scale_from_metric_depth
 from skymoor.errors import TooFewMatches
-from skymoor.geometry.camera import Intrinsics
-from skymoor.geometry.similarity import Similarity
+from skymoor.geometry import Intrinsics, Similarity
 from skymoor.types import Array32, Camera, DepthMap
 
 SHAPE = (40, 60)

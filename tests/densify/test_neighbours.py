@@ -4,10 +4,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from blocks import LENS, look_at, observed
-from flight import Flight, true_component
 from skymoor.densify.neighbours import depth_range, stereo_partners
 from skymoor.types import Camera, Component
+from support.blocks import LENS, look_at, observed
+from support.flight import Flight, true_component
 
 Array = NDArray[np.float64]
 

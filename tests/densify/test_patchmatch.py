@@ -12,14 +12,14 @@ import pycolmap
 import pytest
 from numpy.typing import NDArray
 
-from blocks import ground_points, observed, strips
-from pictures import noise_picture
 from skymoor.densify import PatchMatchDepth, blind_map, read_colmap_depth
 from skymoor.densify._patchmatch import write_workspace
 from skymoor.densify.consistency import confirmed
 from skymoor.densify.neighbours import stereo_partners
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.types import Array32, Camera, Component, DepthMap, Photos
+from support.blocks import ground_points, observed, strips
+from support.pictures import noise_picture
 
 NOISE_RATIO = 0.002
 WRONG_SHARE = 0.1

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flight import Flight, on_tent, true_component
 from skymoor.densify import SgmDepth
 from skymoor.densify._sgm import _Rectified, _rectify, _to_camera, _warp
 from skymoor.densify.neighbours import depth_range
 from skymoor.simulate.light.photo import true_depth
 from skymoor.types import Camera, DepthMap, Photos
+from support.flight import Flight, on_tent, true_component
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import torch
 
-import hub
 import skymoor.densify._depth_anything
 import skymoor.densify._marigold
-from pictures import noise_picture
 from skymoor.densify import DepthAnythingDepth, MarigoldDepth, MetricDepthNetwork
 from skymoor.errors import InputError
+from support import hub
+from support.pictures import noise_picture
 
 PHOTO = noise_picture((90, 120))
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from skymoor.densify import blind_map
 from skymoor.densify.views import reduced, undistorted
-from skymoor.geometry.camera import Intrinsics
-from skymoor.geometry.similarity import Similarity
+from skymoor.geometry import Intrinsics, Similarity
 from skymoor.store import Store
 from skymoor.types import Camera
 

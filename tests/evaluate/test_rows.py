@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from skymoor.errors import InputError
 from skymoor.evaluate import Estimate, EvaluationRow, Truth, evaluate
-from skymoor.geo.accuracy import covariance_from_ce90_le90
-from skymoor.geo.frame import EnuFrame
+from skymoor.geo import EnuFrame, covariance_from_ce90_le90
 
 Array = NDArray[np.float64]
 

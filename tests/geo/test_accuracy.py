@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from skymoor.errors import InputError
-from skymoor.geo.accuracy import ce90_m, checked_covariance, covariance_from_ce90_le90, le90_m, mahalanobis
+from skymoor.geo import ce90_m, checked_covariance, covariance_from_ce90_le90, le90_m, mahalanobis
 
 TILTED = np.array([[4.0, 1.5, 0.3], [1.5, 1.0, -0.2], [0.3, -0.2, 5.4]])
 

@@ -13,7 +13,8 @@ from pyproj import CRS
 from pyproj.datadir import get_data_dir, get_user_data_dir
 
 from skymoor.errors import InputError
-from skymoor.geo.datum import ellipsoidal_heights, horizontal_part, same_vertical_datum, vertical_datum_of
+from skymoor.geo import ellipsoidal_heights, vertical_datum_of
+from skymoor.geo.datum import horizontal_part, same_vertical_datum
 
 
 def test_ellipsoid_changes_nothing() -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pyproj import Geod, Proj, Transformer
 
 from skymoor.errors import InputError
-from skymoor.geo.frame import EnuFrame
+from skymoor.geo import EnuFrame
 
 SITE = EnuFrame(47.05, 8.3, 450.0)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skymoor.geo.grid import Grid, sample
+from skymoor.geo import Grid, sample
 
 GRID = Grid(east0=-100.0, north0=60.0, pixel_m=0.5, shape=(240, 400))
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from skymoor.errors import DegenerateGeometry
-from skymoor.geometry.camera import Intrinsics
+from skymoor.geometry import Intrinsics
 
 Array = NDArray[np.float64]
 CAMERAS = {

@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 
 from skymoor.errors import DegenerateGeometry, TooFewMatches
-from skymoor.geometry.plane import Plane, fit_plane_ransac
+from skymoor.geometry import Plane, fit_plane_ransac
 
 Array = NDArray[np.float64]
 NORMAL = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])

@@ -6,11 +6,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from comparators import assert_similarity_near
 from skymoor.errors import DegenerateGeometry, TooFewMatches
-from skymoor.geometry.adjust import Loss, gauge_centre, point_covariance
-from skymoor.geometry.ransac import ransac_similarity, refine_similarity, tilt_deg
-from skymoor.geometry.similarity import Similarity
+from skymoor.geometry import Similarity, gauge_centre, point_covariance, ransac_similarity
+from skymoor.geometry.adjust import Loss
+from skymoor.geometry.ransac import refine_similarity, tilt_deg
+from support.comparators import assert_similarity_near
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

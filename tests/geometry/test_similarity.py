@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from comparators import assert_similarity_near
 from skymoor.errors import DegenerateGeometry, TooFewMatches
-from skymoor.geometry.similarity import Similarity, umeyama, umeyama_level
-from strategies import points, similarities
+from skymoor.geometry import Similarity, umeyama, umeyama_level
+from support.comparators import assert_similarity_near
+from support.strategies import points, similarities
 
 Array = NDArray[np.float64]
 TRUTH = Similarity(2.5, Rotation.from_euler("zyx", [130, 20, -15], degrees=True).as_matrix(), [3.0, -40.0, 7.0])

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from skymoor.cli import main
+from skymoor.cli.main import main
 from skymoor.store import Store, _photos, _run
-from tiny_site import SITE, Case, assert_refused, content, make_site, run
+from support.tiny_site import SITE, Case, assert_refused, content, make_site, run
 
 
 def arguments(*more: str) -> Callable[[Path], tuple[str, ...]]:

@@ -11,8 +11,8 @@ from pathlib import Path
 import pycolmap
 import pytest
 
-from interrupted import processes, started, with_room_for, write_model
-from tiny_site import Case, assert_refused, make_site, run
+from support.interrupted import processes, started, with_room_for, write_model
+from support.tiny_site import Case, assert_refused, make_site, run
 
 
 @pytest.mark.parametrize("size", [50, 1_000, 20_000, 100_000])

@@ -14,15 +14,15 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from finished import summary_of_run
-from skymoor.arguments import Evaluate
-from skymoor.commands import evaluate
-from skymoor.config import load_site, parse_option, with_options
+from skymoor.cli.arguments import Evaluate
+from skymoor.cli.commands import evaluate
 from skymoor.errors import InputError
-from skymoor.geo.frame import EnuFrame
-from skymoor.settings import Options
-from skymoor.store import read_cameras_csv, read_truth_csv
-from tiny_site import SITE, make_site
+from skymoor.geo import EnuFrame
+from skymoor.pipeline.options import Options
+from skymoor.pipeline.site import load_site, parse_option, with_options
+from skymoor.results.tables import read_cameras_csv, read_truth_csv
+from support.finished import summary_of_run
+from support.tiny_site import SITE, make_site
 
 FUZZED = settings(
     max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]

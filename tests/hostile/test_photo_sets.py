@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from flight import STANDOFF_M, Flight
-from interrupted import KILLED, run_site, status_of
 from skymoor.simulate.site import Site
-from small_run import arguments, rows_of, run, summary_of
+from support.flight import STANDOFF_M, Flight
+from support.interrupted import KILLED, run_site, status_of
+from support.small_run import arguments, rows_of, run, summary_of
 
 pytestmark = pytest.mark.e2e
 

@@ -12,8 +12,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from skymoor.store import open_photos, read_cameras_csv
-from tiny_site import SITE, make_site, run
+from skymoor.results.tables import read_cameras_csv
+from skymoor.store import open_photos
+from support.tiny_site import SITE, make_site, run
 
 WIDTH_PX, HEIGHT_PX = 96, 64
 

@@ -17,7 +17,7 @@ from PIL import Image
 
 from skymoor.errors import InputError
 from skymoor.store import check_photos
-from tiny_site import Case, assert_refused, make_site, picture, write_raster
+from support.tiny_site import Case, assert_refused, make_site, picture, write_raster
 
 
 def bad(name: str, content: bytes) -> Callable[[Path], object]:

@@ -14,9 +14,9 @@ import rasterio
 from numpy.typing import NDArray
 from PIL import Image
 
-import skymoor.geo.raster
-import skymoor.reference
-from map_scene import (
+import skymoor.reference.raster
+import skymoor.reference.read
+from support.map_scene import (
     DSM_M,
     ORTHO_M,
     assert_is_the_scene,
@@ -177,14 +177,14 @@ def test_a_source_hundreds_of_times_finer_is_thinned_in_bounded_pieces(
     reads: list[int] = []
 
     def counted(source: Any, window: Any, thin: Any = (1, 1)) -> Any:
-        found = skymoor.geo.raster.read_heights(source, window, thin)
+        found = skymoor.reference.raster.read_heights(source, window, thin)
         reads.append(found.size)
         return found
 
-    monkeypatch.setattr(skymoor.reference, "read_heights", counted)
+    monkeypatch.setattr(skymoor.reference.read, "read_heights", counted)
     thinned = read(ortho, dsm, pixel_m=4.0)
     assert max(reads) < 1_300_000  # of the 4.8 million that the file holds
-    monkeypatch.setattr("skymoor.geo.resample.SAMPLES", 10**6)
+    monkeypatch.setattr("skymoor.reference.resample.SAMPLES", 10**6)
     whole = read(ortho, dsm, pixel_m=4.0)
     both = np.isfinite(thinned.height) & np.isfinite(whole.height)
     assert both.sum() >= (both.shape[0] - 2) * (both.shape[1] - 2)  # at the rim a block more or less is complete

@@ -14,7 +14,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from PIL import Image
 
-from tiny_site import EAST_M, NORTH_M, SITE, Case, assert_refused, make_site, picture, write_raster
+from support.tiny_site import EAST_M, NORTH_M, SITE, Case, assert_refused, make_site, picture, write_raster
 
 FLAT = np.full((1, 80, 80), 10, np.float32)
 

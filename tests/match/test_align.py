@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pictures import GRID, Overhead, another_day, noise_picture, seen_through
-from skymoor.match import CyclicOptions, Placement, StructuralMatcher, match_placed
-from skymoor.match.align import lay
+from skymoor.match import CyclicOptions, Placement, StructuralMatcher, lay, match_placed
 from skymoor.types import Raster, Warp
+from support.pictures import GRID, Overhead, another_day, noise_picture, seen_through
 
 Array = NDArray[np.float64]
 IDENTITY = np.eye(2, 3)

@@ -14,12 +14,12 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-import skymoor.aliked
+import skymoor.engines.aliked
 import skymoor.match._loftr
-from pictures import noise_picture
 from skymoor.errors import InputError
 from skymoor.match import AlikedMatcher, CyclicOptions, LoftrMatcher, cyclic_matches, match_placed
 from skymoor.types import Matches2D, Raster, Warp
+from support.pictures import noise_picture
 
 Array = NDArray[np.float64]
 ALL = CyclicOptions(max_matches=10**6)
@@ -133,7 +133,7 @@ def test_pixels_of_kornia_to_ours(side: int, monkeypatch: pytest.MonkeyPatch) ->
     fake = SimpleNamespace(match_smnn=lambda x, y, _: (None, torch.arange(4)[:, None].repeat(1, 2)))
     monkeypatch.setitem(sys.modules, "kornia", SimpleNamespace(feature=fake))
     monkeypatch.setitem(sys.modules, "kornia.feature", fake)
-    for module in (skymoor.aliked, skymoor.match._loftr):
+    for module in (skymoor.engines.aliked, skymoor.match._loftr):
         monkeypatch.setattr(module, "_network", lambda *_: Pixels())
         monkeypatch.setattr(module, "find", lambda *_: Path("unused"))
     for matcher in (AlikedMatcher(side_px=104, device="cpu"), LoftrMatcher(side_px=104, device="cpu")):

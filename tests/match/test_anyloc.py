@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import torch
 
-import hub
 import skymoor.match._anyloc
-from pictures import noise_picture
 from skymoor.errors import BackendUnavailable, InputError, TooFewMatches
 from skymoor.match import AnyLocRetriever
 from skymoor.match.retrieve import UNLIKE
 from skymoor.match.vlad import unit, vlad, vocabulary
 from skymoor.types import Array32, Raster
+from support import hub
+from support.pictures import noise_picture
 
 
 @pytest.fixture(autouse=True)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pictures import noise_picture
 from skymoor.match.channels import ChannelOptions, make_channels, rotate_angles
 from skymoor.match.search import turn
 from skymoor.types import Image, Raster
+from support.pictures import noise_picture
 
 Array32 = NDArray[np.float32]
 SHAPE = (150, 150)

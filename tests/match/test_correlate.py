@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pictures import noise_picture
 from skymoor.match.channels import ChannelOptions, Channels, make_channels
 from skymoor.match.correlate import Target, correlate, parabola, peaks
 from skymoor.match.search import cut
 from skymoor.types import Raster
+from support.pictures import noise_picture
 
 Array32 = NDArray[np.float32]
 

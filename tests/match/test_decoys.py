@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pictures import noise_picture
 from skymoor.match import DecoyOptions, SearchOptions, decoy_scores, search_placements
 from skymoor.match.decoys import SEAM_PX, made_decoys, mirrored, mixed
 from skymoor.types import Raster
+from support.pictures import noise_picture
 
 OPTIONS = SearchOptions(heading_step_deg=10.0, template_px=64, reference_px=160, fine_px=120)
 

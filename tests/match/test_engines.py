@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from skymoor.cli import main
+from skymoor.cli.main import main
+from skymoor.engines.weights import stamps
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.match import AlikedMatcher, MatcherOptions, StructuralMatcher
-from skymoor.options import with_options
-from skymoor.settings import Options, check_engines
-from skymoor.weights import stamps
+from skymoor.pipeline.option_parser import with_options
+from skymoor.pipeline.options import Options, check_engines
 
 
 @pytest.fixture(autouse=True)

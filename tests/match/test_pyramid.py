@@ -4,9 +4,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pictures import noise_picture
 from skymoor.match.pyramid import Pyramid
 from skymoor.types import Raster
+from support.pictures import noise_picture
 
 
 def ramp(shape: tuple[int, int] = (120, 203)) -> Raster:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 import skymoor.match._roma
 import skymoor.match._romav2
-from pictures import noise_picture
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.match import CyclicOptions, RomaMatcher, RomaV2Matcher, TinyRomaMatcher, cyclic_matches, match_placed
 from skymoor.types import Matches2D, Raster, Warp
+from support.pictures import noise_picture
 
 Array = NDArray[np.float64]
 ALL = CyclicOptions(max_matches=10**6)

@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 import skymoor.match._roma
-from pictures import noise_picture
 from skymoor.errors import InputError
 from skymoor.match import RomaMatcher, TinyRomaMatcher
 from skymoor.types import Raster
-from torchvision_parts import draw_nothing, romatch_library
+from support.pictures import noise_picture
+from support.torchvision_parts import draw_nothing, romatch_library
 
 A = Raster(noise_picture((90, 160)), np.ones((90, 160), bool))
 B = Raster(noise_picture((130, 110)), np.ones((130, 110), bool))

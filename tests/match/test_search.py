@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pictures import GRID, Overhead, another_day, seen_through, without_heights
 from skymoor.match import Placement, search_placements
 from skymoor.match.search import alike, distinct
 from skymoor.types import Raster
+from support.pictures import GRID, Overhead, another_day, seen_through, without_heights
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pictures import GRID, Overhead, another_day, noise_picture, seen_through, without_heights
 from skymoor.match import StructuralMatcher
 from skymoor.types import Raster, Warp
+from support.pictures import GRID, Overhead, another_day, noise_picture, seen_through, without_heights
 
 Array = NDArray[np.float64]
 SHAPE = (150, 180)

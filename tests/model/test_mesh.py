@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flight import STANDOFF_M, Flight, as_colours, on_tent, seen_from_above, true_component, true_maps
 from skymoor.densify import SgmDepth
 from skymoor.errors import DegenerateGeometry
-from skymoor.geometry.similarity import Similarity
-from skymoor.model.mesh import MeshBuilder, MeshModel
-from skymoor.render import nadir_view
+from skymoor.geometry import Similarity
+from skymoor.model import MeshBuilder, MeshModel, nadir_view
 from skymoor.types import DepthMap, Render, View
+from support.flight import STANDOFF_M, Flight, as_colours, on_tent, seen_from_above, true_component, true_maps
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from blocks import LENS, ground_points, look_at, observed, ring, strips
 from skymoor.errors import DegenerateGeometry
-from skymoor.geometry.similarity import Similarity
+from skymoor.geometry import Similarity
 from skymoor.orient import estimate_gravity, level_from_gravity
 from skymoor.types import Array, Camera, Component, Gravity
+from support.blocks import LENS, ground_points, look_at, observed, ring, strips
 
 HIDDEN = Similarity(0.37, Rotation.from_euler("zyx", [40, -115, 70], degrees=True).as_matrix(), [3.0, -8.0, 2.0])
 UP = HIDDEN.rotation[:, 2]

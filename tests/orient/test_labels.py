@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blocks import LENS, look_at, observed
-from skymoor.geometry.similarity import Similarity
+from skymoor.geometry import Similarity
 from skymoor.orient import GroundLabeler, estimate_gravity, ground_points
 from skymoor.types import Array, Camera, Component, Image, Mask, Photos
+from support.blocks import LENS, look_at, observed
 
 WALL_M, EYE_M = 12.0, 1.6
 

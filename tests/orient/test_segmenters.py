@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-import hub
 import skymoor.orient._oneformer
 import skymoor.orient._semantic
-from pictures import noise_picture
 from skymoor.errors import InputError
 from skymoor.orient import OneFormerLabeler, SemanticLabeler
 from skymoor.orient._classes import ground_ids, ground_of, small
+from support import hub
+from support.pictures import noise_picture
 
 PHOTO = noise_picture((90, 120))
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from skymoor.errors import DegenerateGeometry
-from skymoor.geometry.similarity import Similarity
+from skymoor.geometry import Similarity
 from skymoor.orient import UprightOptions, estimate_ground_gravity, level_from_gravity
 from skymoor.types import Camera, Component, Gravity, Image, Mask, Photos
-from walks import EYE_M, WALL_M, reconstructed, walk, wall_points, watchers
+from support.walks import EYE_M, WALL_M, reconstructed, walk, wall_points, watchers
 
 Array = NDArray[np.float64]
 

@@ -16,18 +16,18 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-import skymoor.aliked
+import skymoor.engines.aliked
 import skymoor.reconstruct._aliked
-from flight import Flight
-from pictures import noise_picture
-from skymoor.aliked import AlikedFeatures
+from skymoor.engines.aliked import AlikedFeatures
+from skymoor.engines.libraries import require
 from skymoor.errors import BackendUnavailable, InputError
-from skymoor.optional import require
-from skymoor.reconstruct import AlikedPairMatcher, ColmapAlikedMatcher
+from skymoor.reconstruct import AlikedPairMatcher, ColmapAlikedMatcher, ViewGraph
 from skymoor.reconstruct.database import enter_photos, extract, match, write_photos
 from skymoor.reconstruct.graph import view_graph
-from skymoor.reconstruct.protocol import ViewGraph, colmap_name
+from skymoor.reconstruct.protocol import colmap_name
 from skymoor.types import Image, Photos, no_progress
+from support.flight import Flight
+from support.pictures import noise_picture
 
 Array = NDArray[np.float64]
 STEP = 32  # pixels by which photos are apart: the network reduces by this much, and sees the same again
@@ -41,7 +41,7 @@ def photos_of(images: dict[str, Image]) -> Photos:
 @pytest.fixture(autouse=True)
 def forget_networks() -> Iterator[None]:
     yield
-    skymoor.aliked._network.cache_clear()
+    skymoor.engines.aliked._network.cache_clear()
     skymoor.reconstruct._aliked._lightglue.cache_clear()
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from blocks import LENS, block
-from skymoor.colmap import colmap_from_component
-from skymoor.geometry.similarity import umeyama
+from skymoor.engines.colmap import colmap_from_component
+from skymoor.geometry import umeyama
 from skymoor.reconstruct import with_focal
 from skymoor.reconstruct.calibration import PROFILE_RATIOS, adjust, calibrate, rms_px, scale_focal, thin
 from skymoor.types import Calibration, Component
+from support.blocks import LENS, block
 
 Array = NDArray[np.float64]
 

@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import skymoor.reconstruct._dedode
-from blocks import ground_points, ring
-from pictures import noise_picture
+from skymoor.engines.libraries import require
 from skymoor.errors import InputError
-from skymoor.optional import require
-from skymoor.reconstruct import DedodeDetector, DedodeRomaMatcher, ReconstructOptions, reconstruct
+from skymoor.reconstruct import DedodeDetector, DedodeRomaMatcher, ReconstructOptions, ViewGraph, reconstruct
 from skymoor.reconstruct._dedode_roma import match_keypoints
 from skymoor.reconstruct.database import likely_pairs
 from skymoor.reconstruct.graph import view_graph
-from skymoor.reconstruct.protocol import ViewGraph
 from skymoor.types import Array32, Camera, Image, Photos, Raster, Warp, no_progress
+from support.blocks import ground_points, ring
+from support.pictures import noise_picture
 
 Array = NDArray[np.float64]
 SIZE = (400, 300)

@@ -12,11 +12,11 @@ import torch
 from numpy.typing import NDArray
 
 import skymoor.reconstruct._doppelgangers
-from pictures import noise_picture
 from skymoor.errors import InputError
 from skymoor.reconstruct import DoppelgangerClassifier, ViewGraph
 from skymoor.reconstruct._doppelgangers import Classifier, _reduced, pair_layers
 from skymoor.types import Photos
+from support.pictures import noise_picture
 
 SIZE = (160, 120)
 PICTURE = noise_picture((240, 320))[40:160, 60:220]

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from blocks import observed
 from skymoor.reconstruct import ConflictFilter, ViewGraph
 from skymoor.types import Camera, Component, Photos
-from walks import walk, wall_points
+from support.blocks import observed
+from support.walks import walk, wall_points
 
 Array = NDArray[np.float64]
 REPEATABILITY = 0.7  # share of the photos that ought to observe a point and do

@@ -7,8 +7,9 @@ import numpy as np
 import pycolmap
 import pytest
 
+from skymoor.reconstruct import ViewGraph
 from skymoor.reconstruct.graph import drop_pairs, view_graph
-from skymoor.reconstruct.protocol import ViewGraph, colmap_name
+from skymoor.reconstruct.protocol import colmap_name
 from skymoor.types import Image, Photos
 
 SIZES = ((640, 480), (300, 200), (640, 480))

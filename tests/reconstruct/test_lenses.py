@@ -12,11 +12,11 @@ import pycolmap
 import pytest
 from numpy.typing import NDArray
 
-from skymoor.colmap import colmap_from_component
-from skymoor.geometry.similarity import umeyama
+from skymoor.engines.colmap import colmap_from_component
+from skymoor.geometry import umeyama
+from skymoor.reconstruct import LensOptions
 from skymoor.reconstruct.calibration import adjust
 from skymoor.reconstruct.lenses import (
-    LensOptions,
     _regrouped,
     is_real,
     share_lenses,
@@ -26,7 +26,7 @@ from skymoor.reconstruct.lenses import (
     write_lenses,
 )
 from skymoor.types import Camera
-from walks import PHONE, WIDE, reconstructed, walk, wall_points, watchers
+from support.walks import PHONE, WIDE, reconstructed, walk, wall_points, watchers
 
 Array = NDArray[np.float64]
 OPTIONS = LensOptions()

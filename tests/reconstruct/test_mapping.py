@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flight import STANDOFF_M, Flight
-from skymoor.geometry.camera import Intrinsics
-from skymoor.geometry.similarity import Similarity, umeyama
+from skymoor.geometry import Intrinsics, Similarity, umeyama
 from skymoor.reconstruct import ReconstructOptions, SiftMatcher, ViewGraph, ground_options, reconstruct
 from skymoor.reconstruct.mapping import _worth_keeping
 from skymoor.simulate.light.photo import Sensor, take_photo
 from skymoor.types import Camera, Component, Image, Photos
+from support.flight import STANDOFF_M, Flight
 
 Array = NDArray[np.float64]
 

@@ -11,15 +11,14 @@ import pycolmap
 import pytest
 from numpy.typing import NDArray
 
-from skymoor.densify import DepthEstimator, SgmDepth
-from skymoor.densify.protocol import MonocularDepth
+from skymoor.densify import DepthEstimator, MonocularDepth, SgmDepth
 from skymoor.errors import InputError
 from skymoor.match import DenseMatcher, StructuralMatcher
 from skymoor.match.cyclic import cycle_error_px
-from skymoor.orient.protocol import GroundLabeler
+from skymoor.orient import GroundLabeler
 from skymoor.reconstruct import PairMatcher, ReconstructOptions, SiftMatcher, reconstruct
 from skymoor.reconstruct.protocol import colmap_name
-from skymoor.simulate.capture.shots import airborne_shots, true_view
+from skymoor.simulate import airborne_shots, true_view
 from skymoor.simulate.light.photo import take_photo, true_depth, true_labels
 from skymoor.simulate.mesh import GROUND_LABELS, stream
 from skymoor.simulate.oracles import (

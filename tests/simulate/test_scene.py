@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from blocks import look_at
-from skymoor.geometry.camera import Intrinsics
+from skymoor.geometry import Intrinsics
 from skymoor.simulate.light.pages import WHITE, Pages
 from skymoor.simulate.light.photo import Sensor, developed, take_photo, true_depth, true_labels
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, Part, cuboid, join, parallelograms
 from skymoor.types import Camera
+from support.blocks import look_at
 
 Array = NDArray[np.float64]
 

@@ -13,21 +13,21 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 from scipy.spatial.transform import Rotation
 
-from comparators import assert_similarity_near
-from skymoor.config import load_site
 from skymoor.errors import InputError, TooFewMatches
 from skymoor.geo import mahalanobis
-from skymoor.geometry.similarity import Similarity
-from skymoor.reference import read_reference
+from skymoor.geometry import Similarity
+from skymoor.pipeline.site import load_site
+from skymoor.reference.read import read_reference
+from skymoor.results.tables import read_truth_csv
+from skymoor.simulate import airborne_shots, ground_shots, security_shots
 from skymoor.simulate import site as site_module
-from skymoor.simulate.capture.shots import airborne_shots, ground_shots, security_shots
 from skymoor.simulate.light import photo as photo_module
 from skymoor.simulate.mesh import Label
 from skymoor.simulate.plan import place_of
 from skymoor.simulate.site import Site, true_enu_from_sfm, write_site
 from skymoor.simulate.world import World
-from skymoor.store import read_truth_csv
 from skymoor.types import Component
+from support.comparators import assert_similarity_near
 
 Array = NDArray[np.float64]
 MakeWorld = Callable[..., World]

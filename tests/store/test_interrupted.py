@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from interrupted import KILLED, processes, started, status_of, with_room_for, work, work_until
 from skymoor.errors import InputError
 from skymoor.store import Store
 from skymoor.store._cache import HEADER_BYTES
+from support.interrupted import KILLED, processes, started, status_of, with_room_for, work, work_until
 
 
 def products(out: Path) -> dict[str, bytes]:

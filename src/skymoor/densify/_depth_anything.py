@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 
 from skymoor.densify.protocol import MetricDepth, MonocularDepth
+from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.weights import find
+from skymoor.engines.weights.repository import describes, open_model, reading
 from skymoor.errors import InputError
-from skymoor.optional import require, torch_device
 from skymoor.types import Array32, Image
-from skymoor.weights import find
-from skymoor.weights.repository import describes, open_model, reading
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 import pycolmap
 
-from skymoor.colmap import colmap_from_component
 from skymoor.densify.consistency import confirmed
 from skymoor.densify.neighbours import stereo_partners
 from skymoor.densify.protocol import DepthEstimator
 from skymoor.densify.views import reduced, undistorted
+from skymoor.engines.colmap import colmap_from_component
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.types import Array32, Camera, Component, DepthMap, Image, Photos, Progress, no_progress
 

@@ -20,7 +20,7 @@ from skymoor.densify.fuse import fuse_depths
 from skymoor.densify.neighbours import depth_range, stereo_partners
 from skymoor.densify.protocol import DepthEstimator
 from skymoor.densify.views import reduced, undistorted
-from skymoor.geometry.camera import Intrinsics
+from skymoor.geometry import Intrinsics
 from skymoor.types import Array, Array32, Camera, Component, DepthMap, Image, Mask, Photos, Progress, no_progress
 
 Views = Callable[[int], tuple[Camera, Image]]

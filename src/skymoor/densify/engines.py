@@ -6,12 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from skymoor.choice import Choice
 from skymoor.densify._depth_anything import DepthAnythingDepth, MetricDepthNetwork
 from skymoor.densify._marigold import MarigoldDepth
 from skymoor.densify._patchmatch import PatchMatchDepth
 from skymoor.densify._sgm import SgmDepth
 from skymoor.densify.protocol import DepthEstimator, MetricDepth, MonocularDepth
+from skymoor.engines.choice import Choice
 from skymoor.types import Array32, Component, DepthMap, Image, Photos, Progress, no_progress
 
 

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.errors import DegenerateGeometry, InputError, TooFewMatches
-from skymoor.geo.accuracy import mahalanobis
-from skymoor.geo.frame import EnuFrame
-from skymoor.geometry.similarity import umeyama
+from skymoor.geo import EnuFrame, mahalanobis
+from skymoor.geometry import umeyama
 
 Array = NDArray[np.float64]
 

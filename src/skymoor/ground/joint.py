@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skymoor.geometry.similarity import Similarity
-from skymoor.ground.answers import Answers
+from skymoor.geometry import Similarity
+from skymoor.ground.hypotheses import Answers
 from skymoor.types import Array, DepthMap, Registration
 
 

@@ -10,7 +10,6 @@ from skymoor.match.align import lay, match_placed
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
 from skymoor.match.decoys import DecoyOptions, decoy_scores
 from skymoor.match.engines import MatcherOptions, RetrieverOptions
-from skymoor.match.facade import Drift, FacadeSearchOptions, Shift, agreement, drift, search_shifts
 from skymoor.match.protocol import DenseMatcher, Retriever
 from skymoor.match.search import Placement, SearchOptions, search_placements
 from skymoor.match.structural import StructuralMatcher
@@ -21,8 +20,6 @@ __all__ = [
     "CyclicOptions",
     "DecoyOptions",
     "DenseMatcher",
-    "Drift",
-    "FacadeSearchOptions",
     "LoftrMatcher",
     "MatcherOptions",
     "Placement",
@@ -31,15 +28,11 @@ __all__ = [
     "RomaMatcher",
     "RomaV2Matcher",
     "SearchOptions",
-    "Shift",
     "StructuralMatcher",
     "TinyRomaMatcher",
-    "agreement",
     "cyclic_matches",
     "decoy_scores",
-    "drift",
     "lay",
     "match_placed",
     "search_placements",
-    "search_shifts",
 ]

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from skymoor.aliked import AlikedFeatures
+from skymoor.engines.aliked import AlikedFeatures
+from skymoor.engines.libraries import require
 from skymoor.errors import InputError
 from skymoor.match.flow import warp_from_pairs
 from skymoor.match.protocol import DenseMatcher
-from skymoor.optional import require
 from skymoor.types import Array, Raster, Warp
 
 if TYPE_CHECKING:

@@ -15,15 +15,15 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
+from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.tensors import as_tensor, fitted
+from skymoor.engines.weights import find
+from skymoor.engines.weights.repository import open_model
 from skymoor.errors import InputError
 from skymoor.match.protocol import Retriever
 from skymoor.match.retrieve import UNLIKE
 from skymoor.match.vlad import unit, vlad, vocabulary
-from skymoor.optional import require, torch_device
-from skymoor.pictures import as_tensor, fitted
 from skymoor.types import Array, Array32, Raster
-from skymoor.weights import find
-from skymoor.weights.repository import open_model
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the pictures that DINOv2 has been trained with
 FEATURES_PER_TILE = 400  # of the vocabulary

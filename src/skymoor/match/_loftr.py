@@ -14,13 +14,13 @@ from typing import Any
 import cv2
 import numpy as np
 
+from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.tensors import as_tensor, fitted
+from skymoor.engines.weights import find, load_into
 from skymoor.errors import InputError
 from skymoor.match.flow import warp_from_pairs
 from skymoor.match.protocol import DenseMatcher
-from skymoor.optional import require, torch_device
-from skymoor.pictures import as_tensor, fitted
 from skymoor.types import Raster, Warp
-from skymoor.weights import find, load_into
 
 CELL_PX = 8
 

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from skymoor.batches import BatchMatcher, Pair
+from skymoor.engines.batches import BatchMatcher, Pair
+from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.tensors import as_tensor, fitted
+from skymoor.engines.weights import another_network, find, load_into, load_state_dict
 from skymoor.errors import InputError
 from skymoor.match.flow import EngineFlow, warp_from_flows
 from skymoor.match.protocol import DenseMatcher
-from skymoor.optional import require, torch_device
-from skymoor.pictures import as_tensor, fitted
 from skymoor.types import Raster, Warp
-from skymoor.weights import another_network, find, load_into, load_state_dict
 
 if TYPE_CHECKING:
     import torch

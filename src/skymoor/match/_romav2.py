@@ -19,12 +19,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from skymoor.engines.libraries import require
+from skymoor.engines.weights import another_network, find, load_state_dict
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.match.flow import EngineFlow, warp_from_flows
 from skymoor.match.protocol import DenseMatcher
-from skymoor.optional import require
 from skymoor.types import Raster, Warp
-from skymoor.weights import another_network, find, load_state_dict
 
 DINOV3 = "facebookresearch_dinov3_adc254450203739c8149213a7a69d8d905b4fcfa"
 """What the library calls its copy of DINOv3's code; the last part is the commit that it wants."""

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from skymoor.batches import BatchMatcher, Pair, match_many
-from skymoor.choice import Choice
+from skymoor.engines.batches import BatchMatcher, Pair, match_many
+from skymoor.engines.choice import Choice
 from skymoor.match._aliked import AlikedMatcher
 from skymoor.match._anyloc import AnyLocRetriever
 from skymoor.match._loftr import LoftrMatcher

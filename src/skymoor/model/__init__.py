@@ -2,8 +2,20 @@
 """Models that can be rendered."""
 
 from skymoor.model.blend import BlendOptions
-from skymoor.model.mesh import MeshBuilder, MeshModel
-from skymoor.model.nerf import NerfBuilder
+from skymoor.model.mesh.mesh import MeshBuilder, MeshModel
+from skymoor.model.nerf.builder import NerfBuilder
 from skymoor.model.protocol import SceneBuilder, SceneModel
+from skymoor.model.views import RenderOptions, nadir_view, oblique_views, tiles
 
-__all__ = ["BlendOptions", "MeshBuilder", "MeshModel", "NerfBuilder", "SceneBuilder", "SceneModel"]
+__all__ = [
+    "BlendOptions",
+    "MeshBuilder",
+    "MeshModel",
+    "NerfBuilder",
+    "RenderOptions",
+    "SceneBuilder",
+    "SceneModel",
+    "nadir_view",
+    "oblique_views",
+    "tiles",
+]

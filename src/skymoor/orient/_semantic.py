@@ -12,12 +12,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from skymoor.optional import require, torch_device
+from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.weights import find
+from skymoor.engines.weights.repository import open_model, reading
 from skymoor.orient._classes import ground_mask
 from skymoor.orient.protocol import GroundLabeler
 from skymoor.types import Image, Mask
-from skymoor.weights import find
-from skymoor.weights.repository import open_model, reading
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from skymoor.choice import Choice
+from skymoor.engines.choice import Choice
 from skymoor.orient._oneformer import OneFormerLabeler
 from skymoor.orient._semantic import SemanticLabeler
 from skymoor.orient.protocol import GroundLabeler

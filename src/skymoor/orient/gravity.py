@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skymoor.errors import DegenerateGeometry, TooFewMatches
-from skymoor.geometry.plane import Plane, fit_plane_ransac
-from skymoor.geometry.similarity import Similarity
+from skymoor.geometry import Plane, Similarity, fit_plane_ransac
 from skymoor.types import Array, Component, Gravity, Mask
 
 

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from skymoor.aliked import AlikedFeatures
+from skymoor.engines.aliked import AlikedFeatures
+from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.weights import find, load_into
 from skymoor.errors import InputError
-from skymoor.optional import require, torch_device
 from skymoor.reconstruct.database import Matched, coarsest_px, enter_photos, write_verified
 from skymoor.reconstruct.pairs import exhaustive_pairs, preemptive_pairs
 from skymoor.reconstruct.protocol import PairMatcher
 from skymoor.types import Array, Photos, Progress
-from skymoor.weights import find, load_into
 
 if TYPE_CHECKING:
     import torch

@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 import pycolmap
 
+from skymoor.engines.weights import find
 from skymoor.errors import BackendUnavailable
 from skymoor.reconstruct.database import enter_photos, extract, likely_pairs, match, threads, write_photos
 from skymoor.reconstruct.protocol import PairMatcher
 from skymoor.types import Photos, Progress
-from skymoor.weights import find
 
 NAME = "colmap-aliked"
 JOINED_BY = {"nearest": "bruteforce-matcher.onnx", "lightglue": "aliked-lightglue.onnx"}

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.tensors import as_tensor, fitted
+from skymoor.engines.weights import find, load_into
 from skymoor.errors import InputError
-from skymoor.optional import require, torch_device
-from skymoor.pictures import as_tensor, fitted
 from skymoor.types import Array, Image
-from skymoor.weights import find, load_into
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from skymoor.batches import match_many
-from skymoor.choice import files_of
-from skymoor.pictures import fitted
+from skymoor.engines.batches import match_many
+from skymoor.engines.choice import files_of
+from skymoor.engines.tensors import fitted
 from skymoor.reconstruct._dedode import DedodeDetector
 from skymoor.reconstruct.database import Matched, coarsest_px, enter_photos, likely_pairs, write_verified
 from skymoor.reconstruct.protocol import PairMatcher

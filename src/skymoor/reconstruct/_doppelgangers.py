@@ -15,11 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from skymoor.engines.libraries import torch_device
+from skymoor.engines.weights import find, load_into, load_state_dict
 from skymoor.errors import InputError
-from skymoor.optional import torch_device
 from skymoor.reconstruct.protocol import PairFilter, ViewGraph
 from skymoor.types import Array, Array32, Image
-from skymoor.weights import find, load_into, load_state_dict
 
 MULTIPLE = 8  # of the sides of a reduced photo
 WARP_PX = 20.0  # what the affinity between two photos may leave

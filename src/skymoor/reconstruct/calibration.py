@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 
-from skymoor.colmap import colmap_from_component, component_from_colmap
+from skymoor.engines.colmap import colmap_from_component, component_from_colmap
 from skymoor.reconstruct.uncertainty import centre_covariances
 from skymoor.types import Calibration, Component
 

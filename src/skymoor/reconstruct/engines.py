@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from skymoor.choice import Choice
+from skymoor.engines.choice import Choice
 from skymoor.reconstruct._aliked import AlikedPairMatcher
 from skymoor.reconstruct._colmap_aliked import ColmapAlikedMatcher
 from skymoor.reconstruct._dedode_roma import DedodeRomaMatcher

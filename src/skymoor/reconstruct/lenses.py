@@ -17,7 +17,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from skymoor.colmap import component_from_colmap, intrinsics_of
+from skymoor.engines.colmap import component_from_colmap, intrinsics_of
 from skymoor.reconstruct.calibration import adjust, focal_sigmas
 from skymoor.types import Array, Mask
 

@@ -5,6 +5,17 @@
 with the package, since the command line's help shows them.
 """
 
+from skymoor.simulate.building.assemble import daily_parts, fixed_parts
+from skymoor.simulate.capture.shots import Shot, airborne_shots, ground_shots, security_shots, true_view
 from skymoor.simulate.options import SiteOptions
 
-__all__ = ["SiteOptions"]
+__all__ = [
+    "Shot",
+    "SiteOptions",
+    "airborne_shots",
+    "daily_parts",
+    "fixed_parts",
+    "ground_shots",
+    "security_shots",
+    "true_view",
+]

@@ -12,7 +12,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from skymoor.simulate.capture import true_view
+from skymoor.simulate.capture.shots import true_view
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import stream
 from skymoor.simulate.world import World

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from skymoor.errors import InputError
-from skymoor.simulate.capture import true_view
+from skymoor.simulate.capture.shots import true_view
 from skymoor.simulate.light.photo import true_depth, true_labels
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import GROUND_LABELS, stream

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from skymoor.geo.frame import EnuFrame
+from skymoor.geo import EnuFrame
 from skymoor.simulate.mesh import stream
 from skymoor.simulate.options import SiteOptions
 

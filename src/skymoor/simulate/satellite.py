@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import Transformer
 from rasterio import Affine
 
-from skymoor.geo.accuracy import LE90_PER_SIGMA, ce90_m
-from skymoor.geo.frame import EnuFrame
+from skymoor.geo import EnuFrame, ce90_m
+from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.simulate.capture.footing import ground_up
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, stream

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from skymoor.errors import InputError
-from skymoor.geo.frame import EnuFrame
-from skymoor.geometry.camera import Intrinsics
-from skymoor.geometry.similarity import Similarity, umeyama
-from skymoor.simulate.capture import Shot, airborne_shots, ground_shots, security_shots
+from skymoor.geo import EnuFrame
+from skymoor.geometry import Intrinsics, Similarity, umeyama
+from skymoor.simulate.capture.shots import Shot, airborne_shots, ground_shots, security_shots
 from skymoor.simulate.light.photo import take_photo, true_depth, true_labels
 from skymoor.simulate.mesh import stream
 from skymoor.simulate.plan import Date, dates_of, place_of

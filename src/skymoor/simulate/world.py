@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from skymoor.simulate.building import daily_parts, fixed_parts
+from skymoor.simulate.building.assemble import daily_parts, fixed_parts
 from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, Part, join, stream

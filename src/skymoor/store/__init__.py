@@ -5,7 +5,6 @@ from skymoor.store._atomic import atomic_folder
 from skymoor.store._digest import code_fingerprint, digest
 from skymoor.store._photos import check_photos, has_metadata, name_prefix, open_photos, photos_fingerprint
 from skymoor.store._run import PRODUCTS, StageRecord, Store, plain
-from skymoor.store._tables import read_camera_rows, read_cameras_csv, read_truth_csv
 
 __all__ = [
     "PRODUCTS",
@@ -20,7 +19,4 @@ __all__ = [
     "open_photos",
     "photos_fingerprint",
     "plain",
-    "read_camera_rows",
-    "read_cameras_csv",
-    "read_truth_csv",
 ]

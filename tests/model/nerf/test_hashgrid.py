@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from skymoor.model.nerf import Sizes
 from skymoor.model.nerf.hashgrid import HashGrid
-from skymoor.model.nerf.options import Sizes
 
 SIZES = Sizes(levels=4, base_cells=4, features=3, table_log2=9, finest_table_log2=10)
 HEIGHT = 0.25

@@ -11,10 +11,10 @@ import pytest
 
 from model.nerf.toy import PIXEL, ROOF, TINY, Toy, blind_half, blinded, cast, component_of, down_view, heights, texture
 from skymoor.errors import BackendUnavailable, DegenerateGeometry
-from skymoor.model.nerf import NerfBuilder
+from skymoor.model import NerfBuilder
 from skymoor.model.nerf.model import NerfModel
 from skymoor.model.nerf.uncertainty import reliability
-from skymoor.options import with_options
+from skymoor.pipeline.option_parser import with_options
 from skymoor.types import Render, View
 
 VIEW = down_view()

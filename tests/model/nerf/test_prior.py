@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from model.nerf.toy import PIXEL, Toy
+from skymoor.model.nerf import PriorOptions
 from skymoor.model.nerf.box import INNER_PER_LEVEL, Box
-from skymoor.model.nerf.options import PriorOptions
 from skymoor.model.nerf.prior import BASE_LOG_DENSITY, Votes, cast_votes, grid_shape, log_density_prior
 from skymoor.model.nerf.sampling import composite
 from skymoor.types import DepthMap, no_progress

@@ -9,14 +9,7 @@ import pytest
 import torch
 
 from skymoor.model.nerf.box import Box
-from skymoor.model.nerf.sampling import (
-    Proposal,
-    between,
-    composite,
-    ray_weights,
-    sample_measured,
-    sample_proposal,
-)
+from skymoor.model.nerf.sampling import Proposal, between, composite, ray_weights, sample_measured, sample_proposal
 
 BOX = Box((0.0, 0.0), 50.0, -5.0, 25.0)
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from skymoor.geometry.camera import Intrinsics
-from skymoor.geometry.similarity import Similarity
-from skymoor.model.nerf import NerfBuilder, PriorOptions, Sizes, UncertaintyOptions
+from skymoor.geometry import Intrinsics, Similarity
+from skymoor.model import NerfBuilder
+from skymoor.model.nerf import PriorOptions, Sizes, UncertaintyOptions
 from skymoor.types import Camera, Component, DepthMap, View
 
 Array = NDArray[np.float64]

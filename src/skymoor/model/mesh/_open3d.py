@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from skymoor.engines.raycast import open3d
 from skymoor.errors import DegenerateGeometry
-from skymoor.raycast import open3d
 from skymoor.types import Array32, DepthMap, Progress
 
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from skymoor.engines.raycast import RayCaster
 from skymoor.errors import DegenerateGeometry
 from skymoor.model.blend import Blend, BlendOptions
 from skymoor.model.mesh._open3d import fuse_mesh
 from skymoor.model.protocol import SceneBuilder, SceneModel
-from skymoor.raycast import RayCaster
 from skymoor.types import Array, Array32, Component, DepthMap, Progress, Render, View, no_progress
 
 

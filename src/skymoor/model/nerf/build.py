@@ -14,10 +14,10 @@ import torch
 from skymoor.errors import DegenerateGeometry
 from skymoor.model.nerf._torch import choose_device, torch_threads
 from skymoor.model.nerf.box import INNER_PER_LEVEL, Box, covered_points, make_box
-from skymoor.model.nerf.builder import NerfBuilder
 from skymoor.model.nerf.exposure import exposure_log_gains
 from skymoor.model.nerf.field import Field
 from skymoor.model.nerf.model import NerfModel
+from skymoor.model.nerf.options import NerfOptions
 from skymoor.model.nerf.photos import make_pixels
 from skymoor.model.nerf.prior import BASE_LOG_DENSITY, cast_votes, grid_shape, log_density_prior
 from skymoor.model.nerf.sampling import Proposal
@@ -31,21 +31,21 @@ PLACE_PX = 4.0
 
 
 def build_model(
-    builder: NerfBuilder,
+    builder: NerfOptions,
     maps: Sequence[DepthMap],
     progress: Progress,
     monocular: Sequence[Array32 | None] | None,
     report: Report | None,
     checkpoint: Path | None,
 ) -> NerfModel:
-    """See `NerfBuilder.__call__`."""
+    """See `NerfBuilder`."""
     device = choose_device(builder.device)
     with torch_threads(builder.threads):
         return _build(builder, maps, progress, monocular, report, checkpoint, device)
 
 
 def _build(
-    builder: NerfBuilder,
+    builder: NerfOptions,
     maps: Sequence[DepthMap],
     progress: Progress,
     monocular: Sequence[Array32 | None] | None,
@@ -105,7 +105,7 @@ def _covered(maps: Sequence[DepthMap], max_sigma_ratio: float, min_maps: int = 3
 
 
 def _untrained(
-    builder: NerfBuilder, maps: Sequence[DepthMap], box: Box, pixel_inner: float, device: torch.device
+    builder: NerfOptions, maps: Sequence[DepthMap], box: Box, pixel_inner: float, device: torch.device
 ) -> tuple[Field, Proposal]:
     shape = grid_shape(box, pixel_inner, builder.prior)
     votes = cast_votes(maps, box, shape, builder.prior, device, no_progress)
@@ -155,7 +155,7 @@ def _in_level(report: Report | None) -> Report | None:
     return told
 
 
-def _key(builder: NerfBuilder, maps: Sequence[DepthMap]) -> str:
+def _key(builder: NerfOptions, maps: Sequence[DepthMap]) -> str:
     """What a checkpoint belongs to: all options but the time, and the depth maps."""
     text = hashlib.sha256(repr(replace(builder, budget_s=0.0)).encode())
     for depth_map in maps:

@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
+
+from skymoor.model.blend import BlendOptions
 
 
 @dataclass(frozen=True)
@@ -146,3 +149,47 @@ class UncertaintyOptions:
     widest_px: float = 20.0
     spread_px: float = 3.0
     bayes_px: float = 4.0
+
+
+@dataclass(frozen=True)
+class NerfOptions:
+    """How a radiance field that is supervised by depth maps is built.
+
+    Attributes:
+        preset: which sizes are taken, `small` for a few CPU cores or `huge` for a GPU.
+        small, huge: those sizes.
+        budget_s: seconds of training on the clock; 0 leaves it to the preset's number of steps. What the clock ends
+            cannot be repeated to the bit.
+        device: `auto` takes CUDA where there is one.
+        threads: of PyTorch on a CPU; 0 leaves its own choice.
+        seed: of everything random.
+        compile: compile the encoding; takes seconds and a C++ compiler, and is left out silently without one.
+        texture: whose colours renders show: of the photos ("blend"), of the field, or as the preset has it.
+        losses, prior, blend, uncertainty: of the parts.
+    """
+
+    preset: Literal["small", "huge"] = "small"
+    small: Sizes = field(default_factory=Sizes)
+    huge: Sizes = HUGE
+    budget_s: float = 0.0
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    threads: int = 0
+    seed: int = 0
+    compile: bool = False
+    texture: Literal["auto", "blend", "field"] = "auto"
+    losses: LossWeights = field(default_factory=LossWeights)
+    prior: PriorOptions = field(default_factory=PriorOptions)
+    blend: BlendOptions = field(default_factory=BlendOptions)
+    uncertainty: UncertaintyOptions = field(default_factory=UncertaintyOptions)
+
+    @property
+    def sizes(self) -> Sizes:
+        """Those of the preset."""
+        return self.small if self.preset == "small" else self.huge
+
+    @property
+    def colours(self) -> Literal["blend", "field"]:
+        """Whose colours renders show."""
+        if self.texture == "auto":
+            return "blend" if self.preset == "small" else "field"
+        return self.texture

@@ -6,8 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skymoor.geometry.camera import Intrinsics
-from skymoor.geometry.similarity import Similarity
+from skymoor.geometry import Intrinsics, Similarity
 from skymoor.simulate.options import SiteOptions
 
 Array = NDArray[np.float64]

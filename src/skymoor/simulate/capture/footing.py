@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from skymoor.geometry.camera import Intrinsics
+from skymoor.geometry import Intrinsics
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import GROUND_LABELS, Label, inside
 from skymoor.simulate.world import World

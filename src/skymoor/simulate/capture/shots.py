@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.errors import InputError
-from skymoor.geometry.similarity import Similarity
+from skymoor.geometry import Similarity
 from skymoor.simulate.capture.aim import looking, make_lens, standing_at
 from skymoor.simulate.capture.footing import ground_up
 from skymoor.simulate.capture.walks import walk_of, watching

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.errors import InputError
-from skymoor.geometry.camera import Intrinsics
-from skymoor.geometry.similarity import Similarity
+from skymoor.geometry import Intrinsics, Similarity
 from skymoor.simulate.capture.aim import azimuth_deg, looking, make_lens, standing_at
 from skymoor.simulate.capture.footing import (
     STEP_M,

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skymoor.geometry.camera import Intrinsics
+from skymoor.geometry import Intrinsics
 from skymoor.simulate.light.scene import Scene
 from skymoor.types import Camera, Image
 

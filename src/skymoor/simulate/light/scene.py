@@ -17,7 +17,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skymoor.raycast import RayCaster
+from skymoor.engines.raycast import RayCaster
 from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.light.sky import BOUNCE, HORIZON, SKYLIGHT, SUNLIGHT, Openness, measure_openness, sky_colours
 from skymoor.simulate.mesh import Label, Part, join

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from skymoor.cli.doctor import Check
+from skymoor.engines.weights import Weights
+from skymoor.evaluate import EvaluationRow
+from skymoor.pipeline.estimate import Step
+
+
+def summary_table(summary: dict[str, Any]) -> Table:
+    """One line per component."""
+    table = Table(title=Text(summary["site"]))  # Text, because square brackets in a name are no markup
+    for heading in ("set", "component", "status", "cameras", "matches", "inliers", "CE90 m", "LE90 m", "remark"):
+        table.add_column(heading)
+    for item in summary["sets"]:
+        for component in item["components"]:
+            table.add_row(
+                item["set"],
+                str(component["component"]),
+                component["status"],
+                str(component["n_cameras"]),
+                str(component["n_matches"]),
+                f"{component['inlier_ratio']:.0%}",
+                _number(component.get("predicted_ce90_m")),
+                _number(component.get("predicted_le90_m")),
+                Text(component["reason"] or component["calibration_note"]),
+            )
+        if not item["components"]:
+            table.add_row(item["set"], "-", item["status"], "0", "-", "-", "-", "-", item["reason"])
+    return table
+
+
+def evaluation_table(rows: Sequence[EvaluationRow]) -> Table:
+    """The paper's two tables in one: errors in metres of every component.
+
+    abs and its median, horizontal and vertical mean; M-dist of the mean error and the mean per camera; rel (without
+    the mean error) and its median; fit: after the best similarity; the standoff; and what was predicted.
+    """
+    table = Table(title="errors against the truth")
+    columns = [
+        ("abs", "mean_absolute_m"),
+        ("median", "median_absolute_m"),
+        ("horiz", "mean_horizontal_m"),
+        ("vert", "mean_vertical_m"),
+        ("M-dist", "mahalanobis_of_mean"),
+        ("mean M", "mean_mahalanobis"),
+        ("rel", "mean_relative_m"),
+        ("median", "median_relative_m"),
+        ("fit", "rmse_procrustes_m"),
+        ("standoff", "standoff_m"),
+        ("CE90", "predicted_ce90_m"),
+        ("LE90", "predicted_le90_m"),
+    ]
+    for heading in ("set", "no", "status", "cameras", *(heading for heading, _ in columns)):
+        table.add_column(heading)
+    for row in rows:
+        numbers = [_number(getattr(row, name)) for _, name in columns]
+        table.add_row(row.set, str(row.component), row.status, str(row.n_cameras), *numbers)
+    return table
+
+
+def accuracy_table(rows: Sequence[EvaluationRow]) -> Table:
+    """The error split, and whether what was predicted holds: metres, and shares of cameras.
+
+    The bias is the mean error, which holds the reference's own; CE90 and LE90 as predicted and the share of cameras
+    within; and the predicted accuracy without the reference's error, beside what was found without the bias.
+    """
+    table = Table(title="what was predicted, and what holds")
+    columns = [
+        ("bias E", "bias_east_m"),
+        ("N", "bias_north_m"),
+        ("up", "bias_up_m"),
+        ("CE90", "predicted_ce90_m"),
+        ("within", "share_within_ce90"),
+        ("LE90", "predicted_le90_m"),
+        ("within", "share_within_le90"),
+        ("relative CE90", "predicted_relative_ce90_m"),
+        ("LE90", "predicted_relative_le90_m"),
+        ("rel", "mean_relative_m"),
+    ]
+    for heading in ("set", "no", *(heading for heading, _ in columns)):
+        table.add_column(heading)
+    for row in rows:
+        numbers = []
+        for _, name in columns:
+            value = getattr(row, name)
+            numbers.append(f"{value:.0%}" if name.startswith("share") and value is not None else _number(value))
+        table.add_row(row.set, str(row.component), *numbers)
+    return table
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def weights_table(known: Sequence[Weights], folder: Path) -> Table:
+    """One line for each engine's weights."""
+    table = Table(title=Text(f"pretrained weights; they lie in {folder}"))
+    table.add_column("name", no_wrap=True)
+    for heading in ("for", "MB", "here", "licence: code", "weights", "sha256", "note"):
+        table.add_column(heading, overflow="fold")
+    for one in known:
+        there = one.here(folder)
+        digests = [file.sha256 for file in one.files if not file.folder]
+        table.add_row(
+            one.name,
+            one.what_for,
+            "?" if one.size_mb is None else f"{one.size_mb:.4g}",
+            "yes" if all(there) else "part" if any(there) else "no",
+            one.code_licence,
+            one.weights_licence,
+            "-" if not digests else "known: checked" if all(digests) else "not known: printed after the fetch",
+            one.note,
+        )
+    return table
+
+
+def checks_table(checks: Sequence[Check]) -> Table:
+    """What `skymoor doctor` found."""
+    table = Table(title="this machine")
+    for heading in ("", "found", "status", "what to do"):
+        table.add_column(heading, overflow="fold")
+    for check in checks:
+        table.add_row(Text(check.name), Text(check.found), check.status, Text(check.mend))
+    return table
+
+
+def plan_table(steps: Sequence[Step]) -> Table:
+    """What a run would do."""
+    table = Table(title="what a run would do; times are of two cores, and right to a factor of two")
+    for heading in ("step", "what", "about", "MiB"):
+        table.add_column(heading, justify="right" if heading in ("about", "MiB") else "left")
+    for step in steps:
+        table.add_row(step.name, step.what, _duration(step.seconds), f"{step.mib:.0f}")
+    total, most = sum(step.seconds for step in steps), max(step.mib for step in steps)
+    table.add_row("in all", "", _duration(total), f"{most:.0f}", style="bold")
+    return table
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Libraries and learned networks that several stages use."""

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fetching weights: a file is there whole and checked, or not at all."""
+
+from __future__ import annotations
+
+import http.client
+import shutil
+import tempfile
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from skymoor.engines.weights.files import sha256_of, verify
+from skymoor.engines.weights.table import WeightFile, known
+from skymoor.errors import BackendUnavailable, InputError
+
+FileProgress = Callable[[int, int], object]
+"""Called with the megabytes that are there and those in all."""
+
+TIMEOUT_S = 60.0
+CHUNK = 1 << 20
+PREFIX = ".skymoor-"
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """A file or folder that is there now; the digest of a file, and whether it was there before."""
+
+    path: Path
+    sha256: str | None
+    was_there: bool
+
+
+def fetch(name: str, folder: Path, progress: Callable[[str], FileProgress]) -> list[Fetched]:
+    """Download all files of known weights that `folder`/`name` does not hold yet.
+
+    Args:
+        name: of the table.
+        folder: of all weights; made if it is missing.
+        progress: makes the callback for a file.
+
+    Raises:
+        InputError: the name is unknown, a download failed, or a file is not the expected one. A file that is there
+            and is not the expected one is never overwritten.
+        BackendUnavailable: a repository of a hub is wanted, and its library is not installed.
+    """
+    done = []
+    for file in known(name).files:
+        path = folder / name / file.file
+        there = path.exists()
+        if there and file.sha256:
+            verify(path, file.sha256)
+        if not there:
+            _fetch_new(file, path, progress)
+        done.append(Fetched(path, None if file.folder else sha256_of(path), there))
+    return done
+
+
+def _fetch_new(file: WeightFile, path: Path, progress: Callable[[str], FileProgress]) -> None:
+    _make_room(path)
+    if file.folder:
+        _fetch_folder(file, path)
+    else:
+        _fetch_file(file, path, progress(path.name))
+
+
+def _make_room(path: Path) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path.parent}: cannot be written ({error.strerror}); choose another --to") from error
+
+
+def _fetch_file(file: WeightFile, path: Path, progress: FileProgress) -> None:
+    """Under another name in the same folder first, so that an interrupted fetch leaves nothing to be believed."""
+    temporary = Path(tempfile.mkdtemp(prefix=PREFIX, dir=path.parent))
+    try:
+        part = temporary / path.name
+        _download(file, part, progress)
+        found = sha256_of(part)
+        if file.sha256 not in (None, found):
+            raise InputError(
+                f"{file.url}: not the file that skymoor knows (sha256 {found}, expected {file.sha256}); nothing is kept"
+            )
+        part.replace(path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _download(file: WeightFile, part: Path, progress: FileProgress) -> None:
+    if urlsplit(file.url).scheme not in ("https", "file"):
+        raise InputError(f"{file.url}: weights come from https or file addresses only")
+    try:
+        with urllib.request.urlopen(file.url, timeout=TIMEOUT_S) as source, part.open("wb") as target:
+            length = int(source.headers.get("Content-Length") or 0)
+            total = max(1, round((length or (file.size_mb or 0) * 1e6) / 1e6))
+            size = 0
+            while chunk := source.read(CHUNK):
+                target.write(chunk)
+                size += len(chunk)
+                progress(min(size // 1_000_000, total - 1), total)
+    except (urllib.error.URLError, http.client.HTTPException, OSError, ValueError) as error:
+        reason = getattr(error, "reason", None) or error
+        by_hand = part.parent.parent / part.name
+        raise InputError(
+            f"{file.url}: cannot be fetched ({reason}); try again, or put it by hand at {by_hand}"
+        ) from None
+    if length and size != length:
+        raise InputError(f"{file.url}: the download broke off after {size} of {length} bytes; try again")
+    progress(total, total)
+
+
+def _fetch_folder(file: WeightFile, path: Path) -> None:
+    try:
+        from huggingface_hub import snapshot_download
+    except ImportError as error:
+        raise BackendUnavailable(
+            f"{file.url}: fetching a repository takes a library: pip install huggingface_hub; "
+            f"or put its files by hand in {path}"
+        ) from error
+    temporary = Path(tempfile.mkdtemp(prefix=PREFIX, dir=path.parent))
+    try:
+        part = temporary / path.name
+        repository = urlsplit(file.url).path.strip("/")
+        snapshot_download(repository, local_dir=part, ignore_patterns=[*file.skip, "*.onnx", "*.h5", "*.msgpack"])
+        shutil.rmtree(part / ".cache", ignore_errors=True)
+        part.replace(path)
+    except (OSError, ValueError, RuntimeError) as error:  # the library's own errors are all of these kinds
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"{file.url}: cannot be fetched ({reason}); try again, or put its files by hand in {path}"
+        ) from None
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What pairs of photo and tile say, and the one similarity that most of them agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skymoor.engines.batches import match_many
+from skymoor.errors import DegenerateGeometry, TooFewMatches
+from skymoor.geometry import Similarity, ransac_similarity
+from skymoor.ground.tiles.icp import IcpOptions, IcpResult, refine_icp
+from skymoor.ground.tiles.images import AirborneTiles, GroundPhoto, PictureOptions, lift_pair
+from skymoor.match import CyclicOptions, DenseMatcher, cyclic_matches
+from skymoor.registration import RegisterOptions, independent_cells, register, restated
+from skymoor.types import Array, Mask, Matches3D, Registration, Warp
+
+
+@dataclass(frozen=True)
+class ConsensusOptions:
+    """From matches to one similarity per component, and when not to believe it.
+
+    Attributes:
+        best_tiles: tiles per photo, by number of matches, whose own transform is a hypothesis (the paper's k).
+        inlier_m: largest residual of an inlier (the paper's).
+        min_pair_matches: a pair with fewer suggests nothing.
+        matches_per_pair: drawn at random for the consensus, so that no pair outvotes the others.
+        min_scale, max_scale: metres per unit of the ground model.
+        max_trials: of RANSAC, per pair.
+        min_inlier_ratio: over the matches of each photo's best tiles; less is a refusal (the paper's).
+        min_photos, min_photo_inliers: photos that must agree, each with so many inliers: a repeated facade can fool
+            one photo.
+        min_margin, apart_m: the best transform must have that many times the inliers of any that puts the model's
+            points at least so far away, on average.
+        min_cells, cell_m: cubes in space that hold inliers.
+        max_tilt_deg: by which the transform may tilt the levelled model.
+        pictures, cyclic, register, icp: of the steps; no `icp` leaves that step out.
+    """
+
+    best_tiles: int = 5
+    inlier_m: float = 0.5
+    min_pair_matches: int = 30
+    matches_per_pair: int = 300
+    min_scale: float = 0.0
+    max_scale: float = float("inf")
+    max_trials: int = 2048
+    min_inlier_ratio: float = 0.2
+    min_photos: int = 3
+    min_photo_inliers: int = 20
+    min_margin: float = 1.25
+    apart_m: float = 5.0
+    min_cells: int = 10
+    cell_m: float = 2.0
+    max_tilt_deg: float = 6.0
+    pictures: PictureOptions = field(default_factory=PictureOptions)
+    cyclic: CyclicOptions = field(default_factory=lambda: CyclicOptions(max_matches=1_000_000))
+    register: RegisterOptions = field(
+        default_factory=lambda: RegisterOptions(inlier_m=0.5, correlation_m=3.0, tilt_sigma_deg=1.0)
+    )
+    icp: IcpOptions | None = field(default_factory=IcpOptions)
+
+
+@dataclass(frozen=True, eq=False)
+class PairEvidence:
+    """Matches of a photo with a tile, at most `matches_per_pair` of the `count` that were found."""
+
+    photo: int
+    tile: int
+    count: int
+    matches: Matches3D
+
+
+@dataclass(frozen=True, eq=False)
+class Pool:
+    """Matches (n) of many pairs, with the photo (n,) that each is of."""
+
+    matches: Matches3D
+    photo: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, pairs: Sequence[PairEvidence]) -> Pool:
+        """All matches of the pairs."""
+        sizes = [len(pair.matches) for pair in pairs]
+        photo = np.repeat(np.array([pair.photo for pair in pairs], dtype=np.intp), sizes)
+        return cls(Matches3D.joined([pair.matches for pair in pairs]), photo)
+
+    def take(self, index: Mask) -> Pool:
+        """Keep some of the matches."""
+        return Pool(self.matches.take(index), self.photo[index])
+
+    def gaps_m(self, enu_from_level: Similarity) -> Array:
+        """Distances (n,) that a transform leaves."""
+        gaps: Array = np.linalg.norm(enu_from_level.apply(self.matches.xyz_level) - self.matches.xyz_enu, axis=1)
+        return gaps
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """One component against one set of tiles: what matching is done with."""
+
+    photos: tuple[GroundPhoto, ...]
+    airborne: AirborneTiles
+    matcher: DenseMatcher
+    options: ConsensusOptions
+    probes: Array
+    rng: np.random.Generator
+
+    def match(self, photo: int, tiles: Sequence[int]) -> Iterator[PairEvidence]:
+        """Of a photo with each tile the cyclically consistent matches that have a point on both sides."""
+        pairs = ((self.photos[photo].raster, self.airborne.tiles[tile].raster) for tile in tiles)
+        for tile, warp in zip(tiles, match_many(self.matcher, pairs), strict=True):
+            yield self._evidence(photo, tile, warp)
+
+    def _evidence(self, photo: int, tile: int, warp: Warp) -> PairEvidence:
+        options, a, b = self.options, self.photos[photo], self.airborne.tiles[tile]
+        matches = lift_pair(cyclic_matches(warp, options.cyclic, rng=self.rng), a, b)
+        count = len(matches)
+        if count > options.matches_per_pair:
+            index = np.sort(self.rng.choice(count, options.matches_per_pair, replace=False))
+            matches = matches.take(index)
+        return PairEvidence(photo, tile, count, matches)
+
+    def hypothesis(self, matches: Matches3D, *, level: bool) -> Similarity | None:
+        """What some matches alone suggest; nothing where they are too few or agree on nothing."""
+        o = self.options
+        if len(matches) < o.min_pair_matches:
+            return None
+        try:
+            found = ransac_similarity(
+                matches.xyz_level,
+                matches.xyz_enu,
+                inlier_m=o.inlier_m,
+                rng=self.rng,
+                level=level,
+                max_trials=o.max_trials,
+                min_scale=o.min_scale,
+                max_scale=o.max_scale,
+            )
+        except (TooFewMatches, DegenerateGeometry):
+            return None
+        return found.transform if found.inliers.sum() >= o.min_photo_inliers // 2 else None
+
+    def best_pairs(self, pairs: Sequence[PairEvidence]) -> list[PairEvidence]:
+        """The `best_tiles` of each photo by number of matches, without those that suggest nothing."""
+        chosen = []
+        for photo in range(len(self.photos)):
+            own = [pair for pair in pairs if pair.photo == photo and pair.count >= self.options.min_pair_matches]
+            chosen += sorted(own, key=lambda pair: -pair.count)[: self.options.best_tiles]
+        return chosen
+
+    def apart_m(self, a: Similarity, b: Similarity) -> float:
+        """How far two transforms put the component from each other, on average."""
+        return float(np.linalg.norm(a.apply(self.probes) - b.apply(self.probes), axis=1).mean())
+
+    def conclude(
+        self, pairs: Sequence[PairEvidence], hypotheses: Sequence[Similarity], *, with_icp: bool = True
+    ) -> Registration:
+        """The hypothesis that explains most matches of all pairs, refitted to them, laid on the surface, and judged."""
+        o, pool = self.options, Pool.of(pairs)
+        if not hypotheses:
+            reason = f"none of {len(pairs)} pairs of photo and tile suggests where the model stands"
+            return _refused(reason, pool)
+        scores = np.array([np.count_nonzero(pool.gaps_m(h) <= o.inlier_m) for h in hypotheses])
+        best = int(np.argmax(scores))
+        found = self._refitted(hypotheses[best], pool, with_covariance=with_icp)
+        if found.enu_from_level is None:
+            return found
+        placed = found.enu_from_level
+        icp = self._icp(placed, pool) if with_icp else None
+        if icp is not None and icp.helped:
+            placed = icp.target_from_source
+        elsewhere = [s for s, h in zip(scores, hypotheses, strict=True) if self.apart_m(h, placed) >= o.apart_m]
+        score = int(np.count_nonzero(pool.gaps_m(placed) <= o.inlier_m))
+        counts = {"score": float(score), "second_score": float(max(elsewhere, default=0)), **_told(icp)}
+        counts["photos_agree"] = float(len(self.supporters(placed, pool)))
+        return self._judged(replace(found, enu_from_level=placed), Pool.of(self.best_pairs(pairs)), counts)
+
+    def supporters(self, placed: Similarity, pool: Pool) -> NDArray[np.intp]:
+        """The photos with enough inliers."""
+        near = pool.gaps_m(placed) <= self.options.inlier_m
+        inliers = np.bincount(pool.photo[near], minlength=len(self.photos))
+        return np.flatnonzero(inliers >= self.options.min_photo_inliers)
+
+    def _refitted(self, start: Similarity, pool: Pool, *, with_covariance: bool) -> Registration:
+        """Fitted to the matches near it, then to those near the fit."""
+        placed, found = start, _refused("no match is near the best transform", pool)
+        for round_ in range(2):
+            near = pool.take(pool.gaps_m(placed) <= 1.5 * self.options.inlier_m)
+            found = register(
+                near.matches,
+                self.airborne.pixel_m,
+                self.options.register,
+                rng=self.rng,
+                with_covariance=with_covariance and round_ == 1,
+            )
+            if found.enu_from_level is None:
+                break
+            placed = found.enu_from_level
+        return found
+
+    def _icp(self, placed: Similarity, pool: Pool) -> IcpResult | None:
+        """ICP on all points of both sides; taken back where the matches contradict it."""
+        o = self.options
+        if o.icp is None:
+            return None
+        ground = np.concatenate([photo.known_level for photo in self.photos])
+        air = np.concatenate([xyz[np.isfinite(xyz[..., 0])] for xyz in self.airborne.xyz_enu])
+        try:
+            found = refine_icp(ground, air, placed, o.icp)
+        except TooFewMatches:
+            return None
+        before, after = (np.count_nonzero(pool.gaps_m(t) <= o.inlier_m) for t in (placed, found.target_from_source))
+        if after < 0.95 * before:
+            return replace(found, target_from_source=placed, reason="the matches contradict it")
+        return found
+
+    def _judged(self, found: Registration, pool: Pool, counts: dict[str, float]) -> Registration:
+        """The registration with what the matches of each photo's best tiles say of it."""
+        o, placed = self.options, found.enu_from_level
+        assert placed is not None
+        found = restated(found, placed, pool.matches, o.inlier_m)
+        cells = independent_cells(pool.matches.xyz_enu[found.inliers], o.cell_m)
+        found = replace(found, diagnostics={**counts, "cells": float(cells)})
+        reason = next((reason for refused, reason in _reasons(found, o) if refused), "")
+        return replace(found, registered=not reason, reason=reason)
+
+
+def evidence_of(
+    photos: tuple[GroundPhoto, ...],
+    airborne: AirborneTiles,
+    matcher: DenseMatcher,
+    options: ConsensusOptions,
+    rng: np.random.Generator,
+) -> Evidence:
+    """Ready for matching. Raises `DegenerateGeometry` where no photo has a point."""
+    known = [points for points in (photo.known_level for photo in photos) if len(points)]
+    if not known:
+        raise DegenerateGeometry("no ground photo has a depth to lift its matches with")
+    probes = np.concatenate([points[rng.integers(0, len(points), 20)] for points in known])
+    return Evidence(photos, airborne, matcher, options, probes, rng)
+
+
+def _reasons(found: Registration, o: ConsensusOptions) -> list[tuple[bool, str]]:
+    d = found.diagnostics
+    return [
+        (
+            found.inlier_ratio < o.min_inlier_ratio,
+            f"only {found.inlier_ratio:.0%} of the matches agree, {o.min_inlier_ratio:.0%} are needed",
+        ),
+        (
+            d["photos_agree"] < o.min_photos,
+            f"{d['photos_agree']:.0f} photos agree on the best place, {o.min_photos} are needed",
+        ),
+        (
+            d["score"] < o.min_margin * d["second_score"],
+            f"another place is nearly as good: {d['second_score']:.0f} inliers, the best has {d['score']:.0f}",
+        ),
+        (d["cells"] < o.min_cells, f"matches agree in {d['cells']:.0f} places only, {o.min_cells} are needed"),
+        (
+            found.tilt_deg > o.max_tilt_deg,
+            f"the level model would have to tilt by {found.tilt_deg:.1f} degrees",
+        ),
+    ]
+
+
+def _refused(reason: str, pool: Pool) -> Registration:
+    return Registration(registered=False, reason=reason, enu_from_level=None, n_matches=len(pool.matches))
+
+
+def _told(icp: IcpResult | None) -> dict[str, float]:
+    if icp is None:
+        return {}
+    return {"icp_helped": float(icp.helped), "icp_moved_m": icp.moved_m, "icp_overlap": icp.overlap}

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ground photos onto the airborne model by what both share: geometry (the offline way of paper section 3.4).
+
+Features in raw photos do not carry from the air to the ground. Walls do: both models have them, upright and flat, and
+a wall's orthophoto looks alike from near and from far. Each ground wall is searched on each airborne wall; what the
+walls of a component agree on is refined by dense matches; and the answer that explains best what all photos show of
+all airborne walls is believed, if it is good enough and no other is nearly as good.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from skymoor.geometry import Similarity
+from skymoor.ground.walls.consensus import JudgeOptions, PoolOptions
+from skymoor.ground.walls.facade_pairs import CounterpartOptions
+from skymoor.ground.walls.facades import Facade, FacadeOptions, facade_of
+from skymoor.ground.walls.refine import AsideOptions, PolishOptions
+from skymoor.ground.walls.shifts import FacadeSearchOptions
+from skymoor.ground.walls.surface import surface_of
+from skymoor.ground.walls.visibility import Relief, relief_of
+from skymoor.ground.walls.walls import WallOptions, find_walls
+from skymoor.match import CyclicOptions, DenseMatcher, StructuralMatcher
+from skymoor.registration import RegisterOptions
+from skymoor.types import DepthMap, Progress, no_progress
+
+
+@dataclass(frozen=True)
+class GroundOptions:
+    """How a ground component is laid on the airborne model.
+
+    Attributes:
+        pixel_m, ground_pixel_m: of the pictures of airborne and of ground walls.
+        searched_walls: largest walls of the ground model that are searched on all airborne ones.
+        min_scale, max_scale: metres per unit of the ground model that are searched. A levelled component has the
+            cameras' height above the ground for its unit, but little ground is seen before a wall, so that the unit
+            may be half or one and a half times of what it ought to be.
+        max_blocked: share of the viewing rays of a guess that may cross walls.
+        max_angle_deg, max_gap_m: a ground wall and an airborne wall this close are matched densely.
+        finalists: answers that are refined with all that the photos show.
+        rounds: of that refinement, each from where the last one ended.
+        polish, aside: each of them is then moved as a whole, and compared with places around.
+        min_kept: of that agreement, while matches have the last word about where it is.
+        walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register, counterparts, judge: of the
+            steps.
+    """
+
+    pixel_m: float = 0.2
+    ground_pixel_m: float = 0.1
+    searched_walls: int = 5
+    min_scale: float = 0.6
+    max_scale: float = 2.6
+    max_blocked: float = 0.1
+    max_angle_deg: float = 12.0
+    max_gap_m: float = 1.5
+    finalists: int = 4
+    rounds: int = 2
+    min_kept: float = 0.7
+    polish: PolishOptions = field(default_factory=PolishOptions)
+    aside: AsideOptions = field(default_factory=AsideOptions)
+    walls: WallOptions = field(default_factory=WallOptions)
+    airborne_facades: FacadeOptions = field(default_factory=FacadeOptions)
+    ground_facades: FacadeOptions = field(default_factory=lambda: FacadeOptions(margin_m=4.0, guess_margin_m=4.0))
+    search: FacadeSearchOptions = field(default_factory=FacadeSearchOptions)
+    pool: PoolOptions = field(default_factory=PoolOptions)
+    dense: DenseMatcher = field(default_factory=StructuralMatcher)
+    cyclic: CyclicOptions = field(default_factory=lambda: CyclicOptions(max_matches=1500))
+    register: RegisterOptions = field(
+        default_factory=lambda: RegisterOptions(inlier_m=0.5, correlation_m=3.0, tilt_sigma_deg=1.0)
+    )
+    counterparts: CounterpartOptions = field(default_factory=CounterpartOptions)
+    judge: JudgeOptions = field(default_factory=JudgeOptions)
+
+
+@dataclass(frozen=True, eq=False)
+class AirborneWalls:
+    """What ground components are laid on: walls with pictures, and heights seen from above, in ENU metres."""
+
+    facades: tuple[Facade, ...]
+    relief: Relief
+
+
+def airborne_walls(
+    maps_enu: Sequence[DepthMap],
+    options: GroundOptions | None = None,
+    *,
+    rng: np.random.Generator,
+    progress: Progress = no_progress,
+) -> AirborneWalls:
+    """Prepare an airborne component, once for all ground components.
+
+    Raises `DegenerateGeometry` when its depth maps show no surface from above.
+    """
+    options = options or GroundOptions()
+    surface = surface_of(maps_enu)
+    walls = find_walls(surface, options.walls, rng=rng)
+    facades = []
+    for done, wall in enumerate(walls):
+        facades.append(facade_of(wall, maps_enu, options.pixel_m, options.airborne_facades))
+        progress(done + 1, len(walls))
+    return AirborneWalls(tuple(facades), relief_of(surface))
+
+
+def moved_map(depth_map: DepthMap, target_from_source: Similarity) -> DepthMap:
+    """A depth map in another frame; depths and their uncertainty take the unit of that frame."""
+    scale = np.float32(target_from_source.scale)
+    return replace(
+        depth_map,
+        camera=depth_map.camera.moved(target_from_source),
+        depth=depth_map.depth * scale,
+        sigma=depth_map.sigma * scale,
+    )

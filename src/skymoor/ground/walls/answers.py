@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the search by walls answers."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+from skymoor.geometry.similarity import Similarity
+from skymoor.ground.walls.consensus import Candidate, JudgeOptions, judge_ground
+from skymoor.types import Array, Registration
+
+
+@dataclass(frozen=True, eq=False)
+class WallAnswers:
+    """All places that were found for a component, the best one first; see `Answers`.
+
+    `probes` (n, 3) are cameras and corners of walls in the level frame, and `counts` says how much was searched.
+    """
+
+    candidates: tuple[Candidate, ...]
+    probes: Array
+    counts: dict[str, float]
+    judge: JudgeOptions
+
+    @property
+    def places(self) -> list[Similarity]:
+        """ENU from level, of each candidate."""
+        return [candidate.enu_from_level for candidate in self.candidates]
+
+    @property
+    def evidence(self) -> list[float]:
+        """Contrast of each candidate."""
+        return [candidate.contrast for candidate in self.candidates]
+
+    def judged(self, excluded: Collection[int] = ()) -> Registration:
+        """The best place, or why it is not believed, if those numbered in `excluded` are known to be wrong."""
+        left = [candidate for k, candidate in enumerate(self.candidates) if k not in excluded]
+        found = judge_ground(left, self.probes, self.judge)
+        return replace(found, diagnostics={**found.diagnostics, **self.counts})

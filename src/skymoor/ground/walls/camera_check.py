@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether each camera of a registered ground component bears the component's place out (the paper's failure A08).
+
+One similarity moves all cameras; a camera that structure from motion put wrongly is then wrong on Earth as well. Each
+photo alone is laid on the airborne walls that it should show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skymoor.geometry import Similarity
+from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions
+from skymoor.ground.walls.dense import photo_matches
+from skymoor.ground.walls.facade_pairs import counterparts
+from skymoor.ground.walls.shifts import drift
+from skymoor.types import DepthMap
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """When a camera contradicts its component.
+
+    Attributes:
+        min_matches: with fewer, matches have no say, for or against.
+        max_offset_m: largest median distance between where a wall is and where the photo shows it.
+        max_offset_ratio: the same in units of what the component's cameras have in the middle: where walls repeat
+            themselves, all of them are seen less well.
+        min_lead: a photo off by more contradicts only if it also agrees so many times better with the walls when it is
+            moved.
+        reach_m: so far around its place each photo's picture of a wall is tried.
+        min_score, min_gain: a photo that agrees there by at least so much, and by so many times what it does at its
+            place, contradicts it.
+    """
+
+    min_matches: int = 150
+    max_offset_m: float = 0.75
+    max_offset_ratio: float = 6.0
+    min_lead: float = 1.05
+    reach_m: float = 5.0
+    min_score: float = 20.0
+    min_gain: float = 1.25
+
+
+@dataclass(frozen=True)
+class CameraWitness:
+    """What one photo says: how well it shows the airborne walls, and how far off it shows them (median, m).
+
+    `score` is how well at its place, `best_score` at the best one within reach.
+    """
+
+    image: str
+    score: float
+    best_score: float
+    n_matches: int
+    offset_m: float
+    heard: bool
+    contradicts: bool
+
+
+def hear_cameras(
+    maps_level: Sequence[DepthMap],
+    airborne: AirborneWalls,
+    enu_from_level: Similarity,
+    options: GroundOptions | None = None,
+    limits: CameraOptions | None = None,
+    *,
+    rng: np.random.Generator,
+) -> list[CameraWitness]:
+    """The witness of each photo, in their order; their depths are not used, for a wrong pose makes them wrong too.
+
+    A camera that is wrong along its viewing direction, as a wrong focal length makes it, shows the walls where they
+    are: of that nothing is heard.
+    """
+    options, limits = options or GroundOptions(), limits or CameraOptions()
+    heard = [_hear(depth_map, airborne, enu_from_level, options, limits, rng) for depth_map in maps_level]
+    usual = float(np.median([w.offset_m for w in heard if w.n_matches >= limits.min_matches] or [0.0]))
+    limit = max(limits.max_offset_m, limits.max_offset_ratio * usual)
+    return [replace(w, contradicts=w.contradicts or _off(w, limit, limits)) for w in heard]
+
+
+def _off(witness: CameraWitness, limit_m: float, limits: CameraOptions) -> bool:
+    """Whether matches say that a photo shows walls elsewhere, and the whole picture does not deny it."""
+    leads = witness.best_score > limits.min_lead * witness.score
+    return witness.heard and witness.offset_m > limit_m and leads
+
+
+def _hear(
+    depth_map: DepthMap,
+    airborne: AirborneWalls,
+    enu_from_level: Similarity,
+    options: GroundOptions,
+    limits: CameraOptions,
+    rng: np.random.Generator,
+) -> CameraWitness:
+    """What a photo says for itself; `contradicts` where it fits much better elsewhere."""
+    alone = [replace(depth_map, depth=np.full_like(depth_map.depth, np.nan))]
+    pairs = counterparts(airborne.facades, airborne.relief, alone, enu_from_level, options.counterparts)
+    reach, still = (round(metres / options.pixel_m) for metres in (limits.reach_m, limits.max_offset_m))
+    found = [drift(p.near, p.far, reach_px=reach, still_px=still, options=options.search) for p in pairs]
+    drifts = [d for d in found if d is not None]
+    score, best = (float(np.linalg.norm(values)) for values in ([d.here for d in drifts], [d.there for d in drifts]))
+    elsewhere = best >= limits.min_score and best > limits.min_gain * score
+    matches = photo_matches(pairs, enu_from_level, options.dense, options.cyclic, rng=rng)
+    gaps = enu_from_level.apply(matches.xyz_level) - matches.xyz_enu
+    offset = float(np.linalg.norm(np.median(gaps, axis=0))) if len(gaps) else float("nan")
+    if elsewhere:
+        surest = max(drifts, key=lambda d: d.there)
+        offset = float(np.hypot(*surest.px)) * options.pixel_m
+    heard = len(matches) >= limits.min_matches or elsewhere
+    return CameraWitness(depth_map.camera.image, score, best, len(matches), offset, heard, contradicts=elsewhere)

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many guesses about where a ground model stands, from single walls, to the one that is believed, or to none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+
+from skymoor.geometry import Similarity
+from skymoor.types import Array, Registration
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """A place of the whole model that one of its walls suggests, by lying on one wall of the other model.
+
+    `score` is how well the two walls' pictures agree, in standard deviations above chance; of a pooled guess, how well
+    those of all its `support` walls do.
+    """
+
+    enu_from_level: Similarity
+    wall: int
+    other: int
+    score: float
+    support: int = 1
+
+
+@dataclass(frozen=True)
+class PoolOptions:
+    """How guesses are pooled.
+
+    Attributes:
+        screened: of the single guesses, best first.
+        lead_ratio: guesses below this share of the best one's score lead no answer; they may support one.
+        near_m: two guesses are one answer if they put the model's probes this close to each other on average.
+        keep: answers that come out.
+    """
+
+    screened: int = 6000
+    lead_ratio: float = 0.6
+    near_m: float = 2.5
+    keep: int = 20
+
+
+def pool_guesses(guesses: Sequence[Guess], probes: Array, options: PoolOptions | None = None) -> list[Guess]:
+    """The answers that most walls agree on, best first and distinct from each other.
+
+    The pooled score is the root of the sum of squares, over the walls, of the best agreeing guess of each: the walls
+    are independent witnesses.
+
+    Args:
+        guesses: of all walls.
+        probes: points (n, 3) of the model that say how far two answers are apart: its cameras and walls.
+        options: see there.
+    """
+    options = options or PoolOptions()
+    ranked = sorted(guesses, key=lambda guess: -guess.score)[: options.screened]
+    if not ranked:
+        return []
+    placed = np.array([guess.enu_from_level.apply(probes) for guess in ranked])
+    walls, scores = np.array([guess.wall for guess in ranked]), np.array([guess.score for guess in ranked])
+    pooled: list[Guess] = []
+    for k in np.flatnonzero(scores > options.lead_ratio * scores[0]):
+        near = np.linalg.norm(placed - placed[k], axis=2).mean(axis=1) < options.near_m
+        best = [float(scores[near & (walls == wall)].max()) for wall in np.unique(walls[near])]
+        pooled.append(replace(ranked[k], score=float(np.linalg.norm(best)), support=len(best)))
+    kept: list[Guess] = []
+    for guess in sorted(pooled, key=lambda guess: -guess.score):
+        if all(_apart(guess.enu_from_level, q.enu_from_level, probes) >= 2 * options.near_m for q in kept):
+            kept.append(guess)
+    return kept[: options.keep]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An answer after refinement, with what the photos say of it.
+
+    `score` and `ncc` are the agreement of all photos with `walls_seen` walls of the airborne model; `height_m` is how
+    high the cameras stand above what is seen from above (median), `blocked` the share of viewing rays that cross walls;
+    `cells` counts the independent cubes that hold inliers, see `independent_cells`; `scores_aside` are the scores of
+    places a few metres away.
+    """
+
+    answer: Guess
+    registration: Registration
+    enu_from_level: Similarity
+    score: float
+    ncc: float
+    walls_seen: int
+    height_m: float
+    blocked: float
+    cells: int
+    scores_aside: tuple[float, ...] = ()
+
+    @property
+    def contrast(self) -> float:
+        """How far the score stands out from those aside: by how much, over the root of their spread.
+
+        Walls are alike in their floors and edges, so that two models agree a little wherever walls lie on walls, the
+        more the larger they are. What only the right place explains goes when the model is moved aside.
+        """
+        if len(self.scores_aside) < 2:
+            return 0.0
+        gain = self.score - float(np.mean(self.scores_aside))
+        spread = max(float(np.std(self.scores_aside)), 1e-6)
+        return max(gain, 0.0) / sqrt(spread)
+
+
+@dataclass(frozen=True)
+class JudgeOptions:
+    """When not to believe the best answer.
+
+    Attributes:
+        min_contrast: see `Candidate`; docs/benchmarks.md has what right and wrong answers reach.
+        min_margin: by which the best contrast must exceed that of the best answer elsewhere.
+        min_rivals, lone_contrast: with fewer answers elsewhere to compare with, the contrast itself must be so high.
+        apart_m: answers are elsewhere if they put the model's probes at least this far, on average.
+        min_inlier_ratio: of the dense matches (the paper's).
+        min_cells, cell_m: cubes in space that hold inliers: neighbouring matches repeat each other.
+        max_tilt_deg: by which the registration may tilt the levelled model.
+        min_height_m, max_height_m: of the cameras; see `Candidate`.
+        max_blocked: share of viewing rays that may cross walls.
+    """
+
+    min_contrast: float = 11.0
+    min_margin: float = 1.5
+    min_rivals: int = 2
+    lone_contrast: float = 16.0
+    apart_m: float = 5.0
+    min_inlier_ratio: float = 0.2
+    min_cells: int = 10
+    cell_m: float = 2.0
+    max_tilt_deg: float = 6.0
+    min_height_m: float = 0.8
+    max_height_m: float = 2.6
+    max_blocked: float = 0.05
+
+
+def judge_ground(candidates: Sequence[Candidate], probes: Array, options: JudgeOptions | None = None) -> Registration:
+    """The registration of the best candidate, or the same with `registered` False and the first reason against it.
+
+    Args:
+        candidates: refined answers, the best one first, some of them of the same place.
+        probes: points (n, 3) of the model; see `pool_guesses`.
+        options: thresholds.
+    """
+    options = options or JudgeOptions()
+    if not candidates:
+        reason = "no wall of the model fits any wall of the airborne model"
+        return Registration(registered=False, reason=reason, enu_from_level=None)
+    # What people cannot have done is neither an answer nor another one that is nearly as good.
+    possible = [c for c in candidates if _possible(c, options)] or list(candidates)
+    best, found = possible[0], possible[0].registration
+    placed = best.enu_from_level
+    compared = [c for c in candidates if _apart(placed, c.enu_from_level, probes) >= options.apart_m]
+    elsewhere = [c for c in compared if c in possible]
+    second = max((c.contrast for c in elsewhere), default=0.0)
+    diagnostics = {
+        **found.diagnostics,
+        "contrast": best.contrast,
+        "second_contrast": second,
+        "score": best.score,
+        "second_score": max((c.score for c in elsewhere), default=0.0),
+        "ncc": best.ncc,
+        "walls_seen": float(best.walls_seen),
+        "support": float(best.answer.support),
+        "pooled_score": best.answer.score,
+        "height_m": best.height_m,
+        "blocked": best.blocked,
+        "cells": float(best.cells),
+    }
+    needed = options.min_contrast if len(compared) >= options.min_rivals else options.lone_contrast
+    for refused, reason in _reasons(best, second, needed, options):
+        if refused:
+            return replace(found, registered=False, reason=reason, diagnostics=diagnostics)
+    return replace(found, diagnostics=diagnostics)
+
+
+def _reasons(best: Candidate, second: float, needed: float, options: JudgeOptions) -> list[tuple[bool, str]]:
+    found = best.registration
+    return [
+        (not found.registered, found.reason),
+        (
+            best.contrast < needed,
+            f"the photos agree with the airborne walls by {best.contrast:.1f}, {needed:.0f} is needed",
+        ),
+        (
+            best.contrast < options.min_margin * second,
+            f"another place is nearly as good: it has a contrast of {second:.1f}, the best {best.contrast:.1f}",
+        ),
+        (
+            found.inlier_ratio < options.min_inlier_ratio,
+            f"only {found.inlier_ratio:.0%} of the matches agree, {options.min_inlier_ratio:.0%} are needed",
+        ),
+        (best.cells < options.min_cells, f"matches agree in {best.cells} places only, {options.min_cells} are needed"),
+        (
+            found.tilt_deg > options.max_tilt_deg,
+            f"the level model would have to tilt by {found.tilt_deg:.1f} degrees",
+        ),
+        (
+            not options.min_height_m <= best.height_m <= options.max_height_m,
+            f"the cameras would stand {best.height_m:.1f} m above the ground",
+        ),
+        (best.blocked > options.max_blocked, f"{best.blocked:.0%} of the viewing rays would cross walls"),
+    ]
+
+
+def _possible(candidate: Candidate, options: JudgeOptions) -> bool:
+    """Whether the cameras stand on the ground and look at what nothing hides."""
+    stands = options.min_height_m <= candidate.height_m <= options.max_height_m
+    return stands and candidate.blocked <= options.max_blocked
+
+
+def _apart(a: Similarity, b: Similarity, probes: Array) -> float:
+    return float(np.linalg.norm(a.apply(probes) - b.apply(probes), axis=1).mean())

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A wall as it looks from straight in front: an orthophoto of a vertical plane, and how two such pictures relate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from skymoor.errors import DegenerateGeometry
+from skymoor.geometry import Similarity
+from skymoor.ground.walls.surface import sample_nearest
+from skymoor.ground.walls.walls import Wall
+from skymoor.types import Array, Array32, DepthMap, Raster
+
+GUESS_DOWN_M = 0.5
+"""Below a wall comes the ground, which no plane shows rightly."""
+
+
+@dataclass(frozen=True)
+class FacadeOptions:
+    """How walls are pictured.
+
+    Attributes:
+        tolerance_m: a photo shows a place of the wall unless its depth there is further than this from the wall.
+        guess_weight: of photos without a depth there: windows have none, and yet are what facades are told apart by.
+        guess_margin_m: how far beyond the wall such photos count, sideways and up.
+        margin_m: by how much the picture is larger than the wall, to all sides.
+        min_cosine: of the angle between ray and wall's normal; flatter views show nothing.
+        photos: that may colour a wall, the sharpest ones.
+        blend: photos that are averaged at a place.
+        max_px: long side of a picture.
+    """
+
+    tolerance_m: float = 0.6
+    guess_weight: float = 0.5
+    guess_margin_m: float = 0.0
+    margin_m: float = 1.0
+    min_cosine: float = 0.12
+    photos: int = 8
+    blend: int = 4
+    max_px: int = 1200
+
+
+@dataclass(frozen=True, eq=False)
+class Facade:
+    """Picture of a wall: columns run to the right as seen from outside, rows downwards.
+
+    The first pixel's upper left corner is at `s0` along the wall and height `z1`.
+    """
+
+    wall: Wall
+    raster: Raster
+    pixel_m: float
+    s0: float
+    z1: float
+
+    def xyz(self, px: Array) -> Array:
+        """Points (n, 3) of the wall's plane at pixels (n, 2)."""
+        s, z = self.s0 + px[:, 0] * self.pixel_m, self.z1 - px[:, 1] * self.pixel_m
+        plan = self.wall.normal * self.wall.offset + s[:, None] * self.wall.right
+        return np.column_stack([plan, z])
+
+    def px(self, xyz: Array) -> Array:
+        """Pixels (n, 2) of points (n, 3), dropped onto the plane."""
+        return np.column_stack(
+            [(xyz[:, :2] @ self.wall.right - self.s0) / self.pixel_m, (self.z1 - xyz[:, 2]) / self.pixel_m]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    rgb: Array32
+    shown: Array32  # weight; 0 where something else is seen
+
+
+def facade_of(wall: Wall, maps: Sequence[DepthMap], pixel_m: float, options: FacadeOptions | None = None) -> Facade:
+    """Picture of a wall from the photos in front of it that see it best; empty where none does.
+
+    Args:
+        wall: in the frame of the maps' cameras.
+        maps: undistorted photos with depth.
+        pixel_m: wanted size of a pixel; larger where the picture would exceed `max_px`.
+        options: see there.
+    """
+    options = options or FacadeOptions()
+    margin = options.margin_m
+    width, height = wall.s1 - wall.s0 + 2 * margin, wall.z1 - wall.z0 + 2 * margin
+    pixel_m = max(pixel_m, max(width, height) / options.max_px)
+    shape = (int(np.ceil(height / pixel_m)), int(np.ceil(width / pixel_m)))
+    empty = Raster(np.zeros((*shape, 3), np.uint8), np.zeros(shape, dtype=bool))
+    facade = Facade(wall, empty, pixel_m, wall.s0 - margin, wall.z1 + margin)
+    u, v = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    xyz = facade.xyz(np.column_stack([u.ravel(), v.ravel()])).reshape(*shape, 3)
+    layers = [_layer(wall, xyz, depth_map, options) for depth_map in _sharpest(wall, maps, options)]
+    if not layers:
+        return facade
+    weights = np.stack([layer.shown for layer in layers])
+    sharpest = np.sort(weights, axis=0)[-options.blend :]
+    weights = np.where(weights >= np.maximum(sharpest[0], sharpest[-1] / 2), weights, 0)
+    total = weights.sum(axis=0)
+    rgb = sum(w[..., None] * layer.rgb for w, layer in zip(weights, layers, strict=True))
+    picture = np.clip(rgb / np.maximum(total, 1e-12)[..., None], 0, 255).astype(np.uint8)
+    return replace(facade, raster=Raster(picture, total > 0))
+
+
+def similarity_between(a: Facade, b: Facade, b_from_a: Array) -> Similarity:
+    """The level similarity of space that lays facade a on facade b as the (2, 3) affine lays their pixels.
+
+    Raises `DegenerateGeometry` when the affine has no positive scale.
+    """
+    scale = float(np.sqrt(abs(np.linalg.det(b_from_a[:, :2])))) * b.pixel_m / a.pixel_m
+    if not scale > 0:
+        raise DegenerateGeometry("two facades do not fit at scale zero")
+    cos, sin = b.wall.normal @ a.wall.normal, b.wall.normal[1] * a.wall.normal[0] - b.wall.normal[0] * a.wall.normal[1]
+    rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    middle = np.array([[a.raster.mask.shape[1] / 2, a.raster.mask.shape[0] / 2]])
+    source = a.xyz(middle)[0]
+    target = b.xyz(middle @ b_from_a[:, :2].T + b_from_a[:, 2])[0]
+    return Similarity(scale, rotation, target - scale * rotation @ source)
+
+
+def affine_between(a: Facade, b: Facade, b_from_a: Similarity) -> Array:
+    """Pixels of b from pixels of a, (2, 3), for a similarity of space that lays a about parallel to b."""
+    h, w = a.raster.mask.shape
+    corners = np.array([[0.0, 0.0], [w, 0.0], [0.0, h]])
+    placed = b.px(b_from_a.apply(a.xyz(corners)))
+    linear = np.column_stack([(placed[1] - placed[0]) / w, (placed[2] - placed[0]) / h])
+    return np.column_stack([linear, placed[0]])
+
+
+def _sharpest(wall: Wall, maps: Sequence[DepthMap], options: FacadeOptions) -> list[DepthMap]:
+    """Photos in front of the wall that hold some of it, those with the finest pixels on it first."""
+    places = np.concatenate([wall.corners, [wall.centre]])
+    normal = np.array([*wall.normal, 0.0])
+    found: list[tuple[float, DepthMap]] = []
+    for depth_map in maps:
+        camera = depth_map.camera
+        rays = camera.centre - places
+        distance = np.linalg.norm(rays, axis=1)
+        cosine = rays @ normal / distance
+        if cosine.max() < options.min_cosine or (camera.centre @ normal) - wall.offset <= 0:
+            continue
+        i = camera.intrinsics
+        xyz_cam = camera.cam_from_world.apply(places)
+        px = xyz_cam[:, :2] / np.maximum(xyz_cam[:, 2:], 1e-6) * [i.fx, i.fy] + [i.cx, i.cy]
+        # A long wall may cross the picture with all its corners outside: the box around them decides.
+        front = xyz_cam[:, 2] > 0
+        if not front.any() or (
+            front.all() and ((px.max(axis=0) < 0).any() or (px.min(axis=0) > [i.width, i.height]).any())
+        ):
+            continue
+        found.append((float(np.median(cosine * i.fx / distance)), depth_map))
+    return [depth_map for _, depth_map in sorted(found, key=lambda pair: -pair[0])[: options.photos]]
+
+
+def _layer(wall: Wall, xyz: Array, depth_map: DepthMap, options: FacadeOptions) -> _Layer:
+    """What one photo shows of the wall."""
+    camera, i = depth_map.camera, depth_map.camera.intrinsics
+    xyz_cam = camera.cam_from_world.apply(xyz)
+    z = xyz_cam[..., 2]
+    front = z > 1e-6
+    safe = np.where(front, z, 1.0)
+    u = np.where(front, xyz_cam[..., 0] / safe * i.fx + i.cx, -1e4).astype(np.float32)
+    v = np.where(front, xyz_cam[..., 1] / safe * i.fy + i.cy, -1e4).astype(np.float32)
+    front &= (u > 1) & (v > 1) & (u < i.width - 1) & (v < i.height - 1)
+    distance = np.linalg.norm(xyz - camera.centre, axis=-1)
+    height = float(camera.centre[:2] @ wall.normal) - wall.offset
+    cosine = height / distance
+    depth = sample_nearest(depth_map.depth, u, v)
+    # How far the surface that the photo shows there lies behind the wall's plane, measured across it.
+    behind = (depth / safe - 1) * height
+    weight = np.where(front & (cosine > options.min_cosine), cosine**1.5 * i.fx / distance, 0)
+    with np.errstate(invalid="ignore"):
+        seen = np.where(np.abs(behind) < options.tolerance_m, weight, 0)
+    rgb = cv2.remap(depth_map.rgb, u - 0.5, v - 0.5, cv2.INTER_LINEAR).astype(np.float32)
+    grow = options.guess_margin_m
+    within = (xyz[..., 2] >= wall.z0 - min(grow, GUESS_DOWN_M)) & (xyz[..., 2] <= wall.z1 + grow)
+    along = xyz[..., :2] @ wall.right
+    within &= (along >= wall.s0 - grow) & (along <= wall.s1 + grow)
+    shown = np.where(within & np.isnan(depth), options.guess_weight * weight, seen)
+    return _Layer(rgb, shown.astype(np.float32))

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Free space: ground photos look from above the ground, and not through buildings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from skymoor.errors import DegenerateGeometry
+from skymoor.geometry import Similarity
+from skymoor.ground.walls.surface import Surface
+from skymoor.ground.walls.walls import Wall
+from skymoor.types import Array, Array32, DepthMap, Mask
+
+REACH = 0.85
+"""Of the way to what a ray sees: depths and scales are not exact."""
+
+FOOT_M = 1.0
+"""Walls begin this much below the lowest part of them that was seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relief:
+    """Heights of what is seen from above, in cells of the plan: element (row, column) is y0 + row, x0 + column cells.
+
+    Cells that nothing was seen in have the height of the nearest one, and `seen` false.
+    """
+
+    height: Array32
+    seen: Mask
+    x0: float
+    y0: float
+    cell_m: float
+
+    def at(self, xy: Array, *, only_seen: bool = False) -> Array:
+        """Heights (...,) at plan positions (..., 2); NaN outside, and where nothing was seen with `only_seen`."""
+        column = np.floor((xy[..., 0] - self.x0) / self.cell_m).astype(np.int64)
+        row = np.floor((xy[..., 1] - self.y0) / self.cell_m).astype(np.int64)
+        h, w = self.height.shape
+        inside = (row >= 0) & (column >= 0) & (row < h) & (column < w)
+        row, column = np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)
+        if only_seen:
+            inside &= self.seen[row, column]
+        return np.where(inside, self.height[row, column], np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Viewing rays of a model: from cameras (n, 3) to shortly before what each one sees, (n, rays, 3)."""
+
+    centres: Array
+    ends: Array
+
+
+def relief_of(surface: Surface, *, cell_m: float = 1.0, min_normal_up: float = 0.8) -> Relief:
+    """Median height of the surfaces that face up, per cell. Raises `DegenerateGeometry` where there are none."""
+    flat = surface.xyz[surface.normals[:, 2] > min_normal_up].astype(np.float64)
+    if not len(flat):
+        raise DegenerateGeometry("the model shows no surface from above")
+    x0, y0 = np.floor(flat[:, :2].min(axis=0))
+    index = np.floor((flat[:, :2] - [x0, y0]) / cell_m).astype(np.int64)
+    w, h = index.max(axis=0) + 1
+    cell = index[:, 1] * w + index[:, 0]
+    order = np.lexsort((flat[:, 2], cell))
+    cells, first, counts = np.unique(cell[order], return_index=True, return_counts=True)
+    height = np.full(h * w, np.nan, np.float32)
+    height[cells] = flat[order][first + counts // 2, 2]
+    height = height.reshape(h, w)
+    known = np.isfinite(height)
+    rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return Relief(height[rows, columns], known, float(x0), float(y0), cell_m)
+
+
+def sight_of(maps: Sequence[DepthMap], *, rays: int = 40, rng: np.random.Generator) -> Sight:
+    """Some viewing rays of each photo, up to shortly before what it sees."""
+    centres, ends = [], []
+    for depth_map in maps:
+        rows, columns = np.nonzero(np.isfinite(depth_map.depth))
+        if not len(rows):
+            continue
+        pick = rng.integers(0, len(rows), rays)
+        z = depth_map.depth[rows[pick], columns[pick]].astype(np.float64)
+        px = np.column_stack([columns[pick] + 0.5, rows[pick] + 0.5])
+        directions = depth_map.camera.intrinsics.rays(px) @ depth_map.camera.cam_from_world.rotation
+        ends.append(depth_map.camera.centre + REACH * z[:, None] * directions)
+        centres.append(depth_map.camera.centre)
+    return Sight(np.array(centres).reshape(-1, 3), np.array(ends).reshape(-1, rays, 3))
+
+
+@dataclass(frozen=True)
+class SightCheck:
+    """How high the cameras stand (median, m), the share of the rays that cross walls, and of cameras off the map."""
+
+    height_m: float
+    blocked: float
+    outside: float
+
+
+def check_sight(
+    sight: Sight, enu_from_level: Similarity, relief: Relief, walls: Sequence[Wall], *, margin_m: float = 0.5
+) -> SightCheck:
+    """Where a hypothesis puts the cameras, seen from above. Cameras off the map count in `outside` only.
+
+    Trees hide from above what people see below them, so it is walls that may not be crossed; what is nearer to a
+    wall than `margin_m` or to its edge counts as beside it.
+    """
+    centres = enu_from_level.apply(sight.centres)
+    above = centres[:, 2] - relief.at(centres[:, :2])
+    outside = float(np.isnan(above).mean()) if len(above) else 1.0
+    height = float(np.nanmedian(above)) if outside < 1 else float("nan")
+    starts, ends = np.broadcast_to(centres[:, None], sight.ends.shape), enu_from_level.apply(sight.ends)
+    crossed = np.zeros(starts.shape[:2], bool)
+    for wall in walls:
+        before, behind = (p[..., :2] @ wall.normal - wall.offset for p in (starts, ends))
+        through = (before * behind < 0) & (np.minimum(np.abs(before), np.abs(behind)) > margin_m)
+        share = before / np.where(through, before - behind, 1.0)
+        point = starts + share[..., None] * (ends - starts)
+        s, z = point[..., :2] @ wall.right, point[..., 2]
+        within = (s > wall.s0 + margin_m) & (s < wall.s1 - margin_m) & (z < wall.z1 - margin_m)
+        crossed |= through & within & (z > wall.z0 - FOOT_M)
+    return SightCheck(height, float(crossed.mean()) if crossed.size else 0.0, outside)

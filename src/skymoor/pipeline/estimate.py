@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run will do, and about how long that takes, before it is done.
+
+Seconds are those of two cores without a GPU, fitted to whole runs (docs/benchmarks.md); they are right to a factor of
+two where the default engines do the work. Learned ones are counted by what a pair or photo took (docs/engines.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skymoor.pipeline.options import Options
+from skymoor.reconstruct import ReconstructOptions
+
+Size = tuple[int, int]
+
+PAIR_S = {"sift": 0.07, "aliked": 0.5, "dedode_roma": 250.0, "colmap_aliked": 0.5}
+FEATURE_S = {"sift": 0.3, "aliked": 2.0, "dedode_roma": 6.0, "colmap_aliked": 1.0}
+DENSE_S = {"structural": 1.6, "roma": 122.0, "tiny_roma": 0.6, "romav2": 200.0, "loftr": 5.0, "aliked": 2.2}
+PARTNERS = 12  # of each photo in sets that are too large for all pairs
+LIBRARIES_MIB = 450
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a run: what it does, about how many seconds it takes and at most how many MiB it holds."""
+
+    name: str
+    what: str
+    seconds: float
+    mib: float
+
+
+def plan(airborne: Sequence[Size], ground: Sequence[Sequence[Size]], grid_px: int, options: Options) -> list[Step]:
+    """The steps of a run on photos of these sizes (width, height), with a reference of `grid_px` pixels."""
+    n, match = len(airborne), options.match
+    depths = _depth_mib(airborne)
+    dense = DENSE_S.get(match.dense.kind, 2.0)
+    model = options.model.nerf.budget_s or 900.0 if options.model.kind == "nerf" else 0.2 * n
+    scales = np.log(match.max_height_m / match.min_height_m) / np.log(10.0)
+    search, searched = 25.0 * scales, LIBRARIES_MIB + depths + 60 * grid_px / 2**20
+    steps = [
+        Step("photos", f"check {n} airborne photos", *_check(airborne)),
+        Step("reference", f"read orthophoto and DSM, {grid_px / 1e6:.1f} million pixels", 2 + 2e-7 * grid_px, 700),
+        Step("reconstruct", f"{n} photos by {_matcher(options.reconstruct)}", *_mapping(airborne, options, "air")),
+        Step("depths", f"depth maps by {options.densify.kind}; what photos say of each other", 0.7 * n, depths + 600),
+        Step("model", f"{options.model.kind} and its view from above", model + 0.3 * n, 2 * depths + 600),
+        Step("search", "every heading, scale and place in the orthophoto", search, searched),
+        Step("decoys", "the same for pictures that lie nowhere", 3 * search, searched),
+        Step("register", f"match by {match.dense.kind}, place, judge", 5 + 2 * match.candidates * dense, searched),
+    ]
+    for k, photos in enumerate(ground):
+        steps += _ground(f"ground{k}", photos, options)
+    return [*steps, Step("products", "tables, models, pictures, report", 10 + 0.1 * n, searched)]
+
+
+def _ground(name: str, photos: Sequence[Size], options: Options) -> list[Step]:
+    n, ground = len(photos), options.ground
+    depths = _depth_mib(photos)
+    pairs = {"walls": 0, "cascade": 10 * n, "exhaustive": 400 * n}[ground.method]
+    seconds = 60 + 8 * n + pairs * 2 * DENSE_S.get(ground.matcher.kind, 2.0)
+    return [
+        Step(f"{name}.photos", f"check {n} ground photos", *_check(photos)),
+        Step(f"{name}.reconstruct", f"{n} photos, lenses, look-alikes", *_mapping(photos, options, "ground")),
+        Step(f"{name}.depths", f"depth maps by {ground.densify.kind}", 0.7 * n, depths + 600),
+        Step(f"{name}.search", f"every component by {ground.method}", seconds, depths + 1200),
+    ]
+
+
+def _matcher(options: ReconstructOptions) -> str:
+    return getattr(options.matcher, "kind", type(options.matcher).__name__)
+
+
+def _check(photos: Sequence[Size]) -> tuple[float, float]:
+    pixels = [w * h for w, h in photos]
+    return 0.02 * sum(pixels) / 1e6, LIBRARIES_MIB + 10 * max(pixels, default=0) / 2**20
+
+
+def _mapping(photos: Sequence[Size], options: Options, kind: str) -> tuple[float, float]:
+    matcher = _matcher(options.reconstruct if kind == "air" else options.ground.reconstruct)
+    n = len(photos)
+    pairs = n * (n - 1) / 2 if n <= 40 else PARTNERS * n
+    megapixels = float(np.mean([min(w * h, 3_000_000) / 1e6 for w, h in photos])) if n else 0.0
+    feature = FEATURE_S.get(matcher, 1.0) + 0.4 * megapixels
+    return n * (feature + 0.8) + pairs * PAIR_S.get(matcher, 0.1), 700 + 8 * n
+
+
+def _depth_mib(photos: Sequence[Size], side_px: int = 800) -> float:
+    """Of the depth maps of all photos: 12 bytes a pixel, and the photo itself."""
+    pixels = sum(w * h * min(1.0, side_px / max(w, h)) ** 2 for w, h in photos)
+    return 15 * pixels / 2**20

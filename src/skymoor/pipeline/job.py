@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the pipeline is given for a set of photos, and what it has found out about each component."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from skymoor.densify import MetricScale, PhotoWitness
+from skymoor.errors import BackendUnavailable, InputError
+from skymoor.geometry import Similarity
+from skymoor.ground.walls import CameraWitness
+from skymoor.model import SceneModel
+from skymoor.pipeline.options import Options
+from skymoor.registration import Relief
+from skymoor.store import Store
+from skymoor.types import (
+    Array,
+    Camera,
+    Component,
+    DepthMap,
+    Gravity,
+    Image,
+    Mask,
+    Matches3D,
+    Photos,
+    Progress,
+    Reference,
+    Registration,
+    Render,
+)
+
+T = TypeVar("T")
+
+LOG = logging.getLogger("skymoor")
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What one set of photos is placed with. The stages `photos_stage` and "reference" must have run in `store`.
+
+    `track` gives the progress callback of a stage, by its name.
+    """
+
+    photos: Photos
+    reference: Reference
+    options: Options
+    store: Store
+    seed: int
+    track: Callable[[str], Progress]
+    name: str = "airborne"
+    photos_stage: str = "photos"
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One of the places where a component may be, whether or not it is believed.
+
+    Attributes:
+        score: what speaks for it; of one component they compare with each other.
+        east, north: where the middle of the airborne render, or of the ground cameras, would be, metres of the site.
+        turn_deg: clockwise from the level frame, seen from above, 0 to 360.
+        metres_per_unit: of the level frame.
+    """
+
+    score: float
+    east: float
+    north: float
+    turn_deg: float
+    metres_per_unit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A component and all that was found out about its place. `component` is in the `level` frame.
+
+    `name` is that of its stages. Each of its photos may have said whether it agrees with the others (`witnesses`). A
+    ground component stands on `base`, an airborne one; `walls` shows both; `metric` is its size as single photos say.
+    `hypotheses` are all places that were found, the likeliest first.
+    """
+
+    name: str
+    component: Component
+    level_from_sfm: Similarity
+    registration: Registration
+    gravity: Gravity | None = None
+    depths: Sequence[DepthMap] = ()
+    model: SceneModel | None = None
+    render: Render | None = None
+    matches: Matches3D | None = None
+    relief: Relief | None = None
+    base: Placed | None = None
+    walls: Image | None = None
+    witnesses: Sequence[CameraWitness | PhotoWitness] = ()
+    metric: MetricScale | None = None
+    hypotheses: Sequence[Hypothesis] = ()
+
+    @property
+    def cameras_enu(self) -> list[Camera]:
+        """Cameras on Earth; empty where the component is not registered, and without those that contradict it."""
+        found = self.registration
+        if not found.registered or found.enu_from_level is None:
+            return []
+        trusted = zip(self.component.cameras, self._trusted, strict=True)
+        return [camera.moved(found.enu_from_level) for camera, is_trusted in trusted if is_trusted]
+
+    @property
+    def shape_enu(self) -> Array | None:
+        """Covariances (n, 3, 3) m^2 of the centres of `cameras_enu` by the reconstruction alone; None if not known."""
+        placed = self.registration.enu_from_level
+        if placed is None or self.component.centre_covariances is None:
+            return None
+        turn = placed.scale * placed.rotation
+        return np.asarray(turn @ self.component.centre_covariances[self._trusted] @ turn.T)
+
+    @property
+    def component_enu(self) -> Component | None:
+        """The component on Earth without cameras that contradict it and what they see; None if it is not registered."""
+        placed = self.registration.enu_from_level
+        if not self.registration.registered or placed is None:
+            return None
+        return self.component.of_cameras(self._trusted).moved(placed)
+
+    @property
+    def _trusted(self) -> Mask:
+        doubted = {witness.image for witness in self.witnesses if witness.contradicts}
+        return np.array([camera.image not in doubted for camera in self.component.cameras], bool)
+
+
+def refused(name: str, component: Component, reason: str) -> Placed:
+    """A component that has no place, with the reason."""
+    nothing = Registration(registered=False, reason=reason, enu_from_level=None)
+    return Placed(name, component, Similarity.identity(), nothing)
+
+
+def or_else(action: Callable[[], T], otherwise: Callable[[str], T], what: str) -> T:
+    """The result of `action`; where it fails unexpectedly, that of `otherwise`, which is given the reason.
+
+    An error in one component must not cost the results of the others: it is logged with its traceback. What ends the
+    run all the same are wrong input, a missing engine, a full disk or memory, and the user's interrupt.
+
+    Args:
+        action: the work.
+        otherwise: makes a refusal of the reason.
+        what: the name of the component or set, for the log.
+    """
+    try:
+        return action()
+    except (InputError, BackendUnavailable, OSError, MemoryError):
+        raise
+    except Exception as error:
+        LOG.exception("%s: failed unexpectedly", what)
+        return otherwise(f"internal error ({type(error).__name__}: {error}); run.log has the traceback")

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""3D matches to a place on Earth (paper, section 3.3, compute 3D transforms).
+
+Both sides are level, so two matches make a hypothesis; the consensus is then adjusted with all seven parameters, and
+how far that tilts the model is a sign of how right it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skymoor.errors import DegenerateGeometry, TooFewMatches
+from skymoor.geometry import Similarity, ransac_similarity, refine_similarity, tilt_deg
+from skymoor.registration.covariance import matched_covariance
+from skymoor.types import Array, Matches3D, Registration
+
+VERTICAL_FLOOR_M, HORIZONTAL_FLOOR_M = 0.1, 0.05
+
+
+@dataclass(frozen=True)
+class RegisterOptions:
+    """Estimation and refusal.
+
+    Attributes:
+        inlier_m: largest residual of an inlier; never below two pixels of the reference.
+        correlation_m: matches closer than this repeat each other: they count once in the refusal.
+        tilt_sigma_deg: how well the model is levelled beforehand; a weak observation that holds small models upright.
+        min_inliers, min_inlier_ratio: fewer are a refusal (the ratio is the paper's).
+        min_cells: independent places that must agree.
+        max_tilt_deg: a registration that tilts the level model by more is a refusal.
+        min_score, min_score_margin: of the placement search, see `judge`.
+        max_chance: probability that a picture which lies nowhere scores as much.
+        min_height_agreement: correlation of heights of the model and of the reference, where both have relief.
+    """
+
+    inlier_m: float = 1.0
+    correlation_m: float = 10.0
+    tilt_sigma_deg: float = 3.0
+    min_inliers: int = 50
+    min_inlier_ratio: float = 0.2
+    min_cells: int = 10
+    max_tilt_deg: float = 10.0
+    min_score: float = 36.0
+    min_score_margin: float = 1.3
+    max_chance: float = 0.005
+    min_height_agreement: float = 0.2
+
+
+def register(
+    matches: Matches3D,
+    reference_pixel_m: float,
+    options: RegisterOptions | None = None,
+    *,
+    rng: np.random.Generator,
+    with_covariance: bool = True,
+) -> Registration:
+    """The similarity that most matches agree on, its covariance and its residuals; not yet judged.
+
+    `registered` is False only where no transform could be estimated. The covariance takes longer than all else; in a
+    search it can be left out, see `with_covariance_of`.
+    """
+    options = options or RegisterOptions()
+    n = len(matches)
+    inlier_m = max(options.inlier_m, 2 * reference_pixel_m)
+    try:
+        consensus = ransac_similarity(matches.xyz_level, matches.xyz_enu, inlier_m=inlier_m, rng=rng)
+        inliers = consensus.inliers
+        source, target = matches.xyz_level[inliers], matches.xyz_enu[inliers]
+        sigma_m = _spread(consensus.transform.apply(source) - target)
+        transform, _, _ = refine_similarity(
+            source, target, consensus.transform, sigma_m=sigma_m, tilt_sigma_deg=options.tilt_sigma_deg
+        )
+        plain = Registration(registered=True, reason="", enu_from_level=transform, tilt_deg=tilt_deg(transform))
+        found = restated(plain, transform, matches, inlier_m)
+        if with_covariance:
+            found = with_covariance_of(found, matches, options, rng=rng)
+    except (TooFewMatches, DegenerateGeometry) as error:
+        return Registration(registered=False, reason=f"no transform: {error}", enu_from_level=None, n_matches=n)
+    cells = independent_cells(matches.xyz_enu[found.inliers, :2], options.correlation_m)
+    return replace(found, diagnostics={**found.diagnostics, "cells": float(cells)})
+
+
+def with_covariance_of(
+    found: Registration, matches: Matches3D, options: RegisterOptions, *, rng: np.random.Generator
+) -> Registration:
+    """The registration with the covariance that its inliers give it.
+
+    Windows of neighbouring matches overlap: five thousand matches are not five thousand measurements.
+
+    Raises `TooFewMatches` and `DegenerateGeometry` where they leave the transform open.
+    """
+    transform = found.enu_from_level
+    if transform is None or found.inliers is None or not found.inliers.any():
+        raise TooFewMatches("a registration without inliers has no accuracy")
+    source, target = matches.xyz_level[found.inliers], matches.xyz_enu[found.inliers]
+    covariance, centre, reach_m = matched_covariance(
+        source,
+        target,
+        transform,
+        sigma_m=_spread(transform.apply(source) - target),
+        tilt_sigma_deg=options.tilt_sigma_deg,
+        rng=rng,
+    )
+    diagnostics = {**found.diagnostics, "errors_reach_m": reach_m}
+    return replace(found, covariance=covariance, centroid_enu=centre, diagnostics=diagnostics)
+
+
+def restated(found: Registration, enu_from_level: Similarity, matches: Matches3D, inlier_m: float) -> Registration:
+    """The registration with a transform from elsewhere, and with what the matches say of that one."""
+    residuals = enu_from_level.apply(matches.xyz_level) - matches.xyz_enu
+    inliers = np.linalg.norm(residuals, axis=1) <= inlier_m
+    near = residuals[inliers]
+    return replace(
+        found,
+        enu_from_level=enu_from_level,
+        n_matches=len(matches),
+        n_inliers=len(near),
+        rmse_m=float(np.sqrt((near**2).sum(axis=1).mean())) if len(near) else float("nan"),
+        inliers=inliers,
+        residuals_m=residuals,
+    )
+
+
+def independent_cells(xyz: Array, cell_m: float) -> int:
+    """How many cells of `cell_m` hold at least one of the points (n, 3), or of their places in plan (n, 2)."""
+    return len(np.unique(np.floor(xyz / cell_m).astype(np.int64), axis=0)) if len(xyz) else 0
+
+
+def _spread(residuals: Array) -> Array:
+    """Robust standard deviation per axis, the horizontal ones alike."""
+    mad = 1.4826 * np.median(np.abs(residuals - np.median(residuals, axis=0)), axis=0)
+    horizontal = max(float(np.hypot(mad[0], mad[1]) / np.sqrt(2)), HORIZONTAL_FLOOR_M)
+    return np.array([horizontal, horizontal, max(float(mad[2]), VERTICAL_FLOOR_M)])

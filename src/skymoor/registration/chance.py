@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a fit may be chance, and whether heights deny it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import t
+
+from skymoor.registration.relief import shared_heights
+from skymoor.types import Array32
+
+USUAL_SPREAD, USUAL_DECOYS = 0.12, 6
+"""Standard deviation of the logarithms of one picture's decoys, as measured, and how many decoys it counts as."""
+
+
+def chance_probability(score: float, decoys: Sequence[float]) -> float:
+    """How likely another picture that lies nowhere would score as much; 1 without decoys to compare with.
+
+    The decoys' scores are taken for log-normal, their spread for a mean of what they show and of what is usual, so
+    that four decoys that happen to be alike do not promise too much (Student's predictive distribution).
+    """
+    if not decoys or score <= 0:
+        return 1.0
+    logs, n = np.log(np.maximum(decoys, 1e-3)), len(decoys)
+    squares = float(((logs - logs.mean()) ** 2).sum()) + USUAL_DECOYS * USUAL_SPREAD**2
+    freedom = n - 1 + USUAL_DECOYS
+    spread = np.sqrt(squares / freedom * (1 + 1 / n))
+    return float(t.sf((np.log(score) - logs.mean()) / spread, freedom))
+
+
+def height_agreement(model: Array32, reference: Array32, pixel_m: float, *, blur_m: float = 1.0) -> float | None:
+    """Correlation of two height maps (h, w) in metres on one grid, NaN where unknown, after a plane is taken out.
+
+    None where they share less than 20 places of a few metres, or where one of them is flat to half a metre: there is
+    nothing to agree about.
+    """
+    shared = shared_heights(model, reference, pixel_m, blur_m)
+    if shared is None:
+        return None
+    plane, *blurred, _ = shared
+    left = [x - plane @ np.linalg.lstsq(plane, x.astype(np.float64), rcond=None)[0] for x in blurred]
+    if min(float(x.std()) for x in left) < 0.5:
+        return None
+    return float(np.corrcoef(left[0], left[1])[0, 1])

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A finished run, and what several formats need of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from skymoor.engines.colmap import component_from_colmap
+from skymoor.errors import InputError
+from skymoor.results.formats.cameras import CameraRow
+from skymoor.results.read import RUN_FIRST, PlacedComponent, Result
+from skymoor.types import Component, Progress, no_progress
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A finished run with what several formats need of it; images without a place are left out everywhere."""
+
+    result: Result
+    target: Path  # the folder of the format, as it will be called
+    notes: list[str] = field(default_factory=list)
+    progress: Progress = no_progress
+
+    @property
+    def rows(self) -> tuple[CameraRow, ...]:
+        """Cameras with a place."""
+        return self.result.placed
+
+    def components(self) -> Iterator[tuple[PlacedComponent, Component]]:
+        """Registered components in ENU metres, with the cameras that cameras.csv places in them."""
+        for part in self.result.components:
+            if part.registered:
+                placed = {row.image for row in self.rows if (row.set, row.component) == (part.set, part.index)}
+                yield part, _kept(_component(self.result.model(part)), placed)
+
+    def product(self, name: str) -> Path:
+        """A file of the run. Raises `InputError` when it is missing."""
+        path = self.result.folder / name
+        if not path.is_file():
+            raise InputError(f"{path}: is missing from the run; {RUN_FIRST}")
+        return path
+
+
+def _component(model: pycolmap.Reconstruction) -> Component:
+    names = {image.name: image.name for image in model.images.values()}
+    colours = np.array([model.point3D(k).color for k in sorted(model.point3D_ids())], np.uint8).reshape(-1, 3)
+    return replace(component_from_colmap(model, names), colours=colours)
+
+
+def _kept(component: Component, images: set[str]) -> Component:
+    """The component less cameras without a place, and less points that fewer than two of the others see."""
+    keep = np.array([camera.image in images for camera in component.cameras], bool)
+    if keep.all():
+        return component
+    kept = component.of_cameras(keep)
+    seen = np.bincount(kept.obs_point, minlength=len(kept.points)) >= 2
+    chosen = seen[kept.obs_point]
+    return replace(
+        kept,
+        points=kept.points[seen],
+        colours=kept.colours[seen],
+        obs_camera=kept.obs_camera[chosen],
+        obs_point=(np.cumsum(seen) - 1)[kept.obs_point[chosen]].astype(np.int32),
+        obs_px=kept.obs_px[chosen],
+    )

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the cameras are: as a table, as GeoJSON, and the transform that put them there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skymoor.geo import EnuFrame
+from skymoor.geometry import Similarity
+from skymoor.types import Camera
+
+
+@dataclass(frozen=True)
+class CameraRow:
+    """One line of cameras.csv, columns in this order; everything from `lat` on is None where it is not placed.
+
+    Latitude and longitude in WGS 84 degrees, height above its ellipsoid, and east, north, up of the site in metres;
+    the quaternion is camera-from-ENU; `ce90` and `le90` are predicted metres, and `relative_ce90` and `relative_le90`
+    the same without the error of the reference, which all cameras share.
+    """
+
+    image: str
+    set: str
+    component: int | None
+    status: str
+    lat: float | None = None
+    lon: float | None = None
+    height: float | None = None
+    east: float | None = None
+    north: float | None = None
+    up: float | None = None
+    qw: float | None = None
+    qx: float | None = None
+    qy: float | None = None
+    qz: float | None = None
+    ce90: float | None = None
+    le90: float | None = None
+    relative_ce90: float | None = None
+    relative_le90: float | None = None
+
+
+CAMERA_COLUMNS = tuple(item.name for item in fields(CameraRow))
+
+
+def placed_cameras(
+    set_name: str, component: int, cameras_enu: Sequence[Camera], frame: EnuFrame, accuracy_m: ArrayLike
+) -> list[CameraRow]:
+    """Rows of a registered component, whose cameras are in ENU.
+
+    `accuracy_m` (4,), or (n, 4) for n cameras, is CE90 and LE90, and both without the error of the reference.
+    """
+    if not cameras_enu:
+        return []
+    enu = np.array([camera.centre for camera in cameras_enu])
+    lla = frame.lla_from_enu(enu)
+    quaternions = np.array([camera.cam_from_world.quaternion_wxyz for camera in cameras_enu])
+    accuracy = np.broadcast_to(np.asarray(accuracy_m, float), (len(enu), 4))
+    numbers = np.hstack([lla, enu, quaternions, accuracy]).tolist()
+    return [
+        CameraRow(camera.image, set_name, component, "REGISTERED", *row)
+        for camera, row in zip(cameras_enu, numbers, strict=True)
+    ]
+
+
+def unplaced_cameras(set_name: str, component: int | None, images: Iterable[str]) -> list[CameraRow]:
+    """Rows of a component that is not registered, or (None) of images that no reconstruction took."""
+    return [CameraRow(image, set_name, component, "NOT_REGISTERED") for image in images]
+
+
+def cameras_table(rows: Iterable[CameraRow]) -> list[dict[str, object]]:
+    """Rows as dictionaries with the keys `CAMERA_COLUMNS`, for a csv writer."""
+    return [asdict(row) for row in rows]
+
+
+def cameras_geojson(rows: Iterable[CameraRow]) -> dict[str, object]:
+    """A FeatureCollection (RFC 7946): points of longitude, latitude, ellipsoidal height; null geometry if unplaced."""
+    features = []
+    for row in rows:
+        properties = {name: value for name, value in asdict(row).items() if name not in ("lat", "lon", "height")}
+        point = None if row.lat is None else {"type": "Point", "coordinates": [row.lon, row.lat, row.height]}
+        features.append({"type": "Feature", "geometry": point, "properties": properties})
+    return {"type": "FeatureCollection", "features": features}
+
+
+def georeference(frame: EnuFrame, enu_from_sfm: Similarity) -> dict[str, object]:
+    """What goes beside a model in ENU metres: the origin on Earth, and the transform that was applied to it."""
+    return {
+        "frame": "east-north-up metres, WGS 84 ellipsoid",
+        "enu_origin": {"lat": frame.lat_deg, "lon": frame.lon_deg, "height": frame.height_m},
+        "enu_from_sfm": {
+            "scale": enu_from_sfm.scale,
+            "quaternion_wxyz": enu_from_sfm.quaternion_wxyz.tolist(),
+            "translation_m": enu_from_sfm.translation.tolist(),
+        },
+    }

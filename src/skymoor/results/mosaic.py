@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reference and the registered model on one grid of local metres: what maps and viewers lay over each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+from rasterio.windows import Window
+
+from skymoor.errors import InputError
+from skymoor.geo import EnuFrame, Grid
+from skymoor.reference.raster import MapRaster, opened, read_colours, read_heights
+from skymoor.reference.read import read_reference
+from skymoor.results.read import Result
+from skymoor.types import Array, Array32, Image, Mask, Reference
+
+SAME_PLACE_DEG, SAME_HEIGHT_M = 1e-7, 0.05
+SPARE_M = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Mosaic:
+    """Pictures on `grid`; what is not there any more is None, and `note` says why.
+
+    Attributes:
+        satellite, satellite_height: the reference (h, w, 3) and its ENU heights (h, w) in metres, NaN where unknown.
+        model, model_mask, model_height: the same of what the run registered.
+    """
+
+    grid: Grid | None
+    satellite: Image | None = None
+    satellite_height: Array32 | None = None
+    model: Image | None = None
+    model_mask: Mask | None = None
+    model_height: Array32 | None = None
+    note: str = ""
+
+    @cached_property
+    def height_difference(self) -> Array32 | None:
+        """Model minus reference (h, w) in metres, NaN where either is unknown; None without both."""
+        if self.model_height is None or self.satellite_height is None:
+            return None
+        difference = (self.model_height - self.satellite_height).astype(np.float32)
+        return difference if np.isfinite(difference).any() else None
+
+
+def mosaic_of(result: Result, max_pixels: float = 1e6) -> Mosaic:
+    """Lay the run's orthophoto and heights on the reference, of which no more than `max_pixels` are read."""
+    reference, note = _reference(result, max_pixels)
+    ortho, dsm = result.folder / "ortho.tif", result.folder / "dsm.tif"
+    there = ortho.is_file() and dsm.is_file()
+    grid = reference.grid if reference is not None else _grid_of(ortho, result.frame, max_pixels) if there else None
+    if grid is None:
+        return Mosaic(None, note=note)
+    satellite, height = (None, None) if reference is None else (reference.rgb, reference.height)
+    if not there:
+        return Mosaic(grid, satellite, height, note=note)
+    try:
+        model, mask = _colours(ortho, grid, result.frame)
+        up = _heights(dsm, grid, result.frame)
+    except InputError as error:
+        return Mosaic(grid, satellite, height, note=note or str(error))
+    return Mosaic(grid, satellite, height, model, mask, up, note)
+
+
+def _reference(result: Result, max_pixels: float) -> tuple[Reference | None, str]:
+    files = result.summary["reference"]
+    ortho, dsm = Path(files.get("ortho", "")), Path(files.get("dsm", ""))
+    missing = next((path for path in (ortho, dsm) if not path.is_file()), None)
+    if missing is not None:
+        return None, f"{missing}: the reference is not where the run found it; its pictures are left out"
+    try:
+        found = read_reference(ortho, dsm, files.get("vertical_datum"), result.covariance, max_pixels=max_pixels)
+    except InputError as error:
+        return None, str(error)
+    moved = abs(found.frame.lat_deg - result.frame.lat_deg) + abs(found.frame.lon_deg - result.frame.lon_deg)
+    if moved > SAME_PLACE_DEG or abs(found.frame.height_m - result.frame.height_m) > SAME_HEIGHT_M:
+        return None, f"{ortho}: the reference is not the one of the run any more; its pictures are left out"
+    return found, ""
+
+
+def _grid_of(ortho: Path, frame: EnuFrame, max_pixels: float) -> Grid | None:
+    """Around the run's own orthophoto."""
+    try:
+        raster = MapRaster.of(ortho)
+    except InputError:
+        return None
+    lonlat = raster.lonlat_from_px(raster.border_px())
+    xy = frame.enu_from_lla(lonlat[:, 1], lonlat[:, 0], frame.height_m)[:, :2]
+    (west, south), (east, north) = xy.min(axis=0) - SPARE_M, xy.max(axis=0) + SPARE_M
+    pixel = max(0.1, float(np.sqrt((east - west) * (north - south) / max_pixels)))
+    return Grid(float(west), float(north), pixel, (int((north - south) / pixel) + 1, int((east - west) / pixel) + 1))
+
+
+def _lookup(raster: MapRaster, grid: Grid, frame: EnuFrame) -> tuple[Array32, Array, tuple[int, int]]:
+    """Where each pixel of the grid lies in the raster as OpenCV counts, its lat and lon, and how much to thin out."""
+    plan = grid.centres().reshape(-1, 2)
+    lla = frame.lla_from_enu(np.column_stack([plan, np.zeros(len(plan))]))
+    px = raster.px_from_lonlat(lla[:, 1::-1])
+    # Thinned out by block means, or a fine raster would turn to noise on a coarse grid.
+    ratio = grid.pixel_m / max(1e-6, float(np.sqrt(abs(np.linalg.det(raster.pixel_sides_m(frame))))))
+    step = max(1, int(ratio))
+    return (px / step - 0.5).astype(np.float32).reshape(*grid.shape, 2), lla, (step, step)
+
+
+def _colours(path: Path, grid: Grid, frame: EnuFrame) -> tuple[Image, Mask]:
+    raster = MapRaster.of(path)
+    at, _, step = _lookup(raster, grid, frame)
+    with opened(path) as source:
+        rgb, known = read_colours(source, Window(0, 0, source.width, source.height), step)
+    laid = cv2.remap(np.nan_to_num(rgb).astype(np.float32), at, None, cv2.INTER_LINEAR)
+    mask = cv2.remap(np.asarray(known, np.float32), at, None, cv2.INTER_LINEAR) > 0.5
+    return np.clip(laid, 0, 255).astype(np.uint8), np.asarray(mask, bool)
+
+
+def _heights(path: Path, grid: Grid, frame: EnuFrame) -> Array32:
+    raster = MapRaster.of(path)
+    at, lla, step = _lookup(raster, grid, frame)
+    with opened(path) as source:
+        height = read_heights(source, Window(0, 0, source.width, source.height), step).astype(np.float32)
+    laid = cv2.remap(height, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
+    up = frame.enu_from_lla(lla[:, 0], lla[:, 1], np.nan_to_num(laid).ravel())[:, 2].reshape(grid.shape)
+    return np.where(np.isfinite(laid), up, np.nan).astype(np.float32)

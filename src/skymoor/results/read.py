@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A finished run, read back from its folder: what reports, viewers, exports and notebooks work with."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from skymoor.errors import InputError
+from skymoor.evaluate import EvaluationRow, evaluate
+from skymoor.geo import EnuFrame
+from skymoor.geometry import Similarity
+from skymoor.results.formats import CameraRow
+from skymoor.results.report.table import summary_html
+from skymoor.results.tables import read_camera_rows, read_cameras_csv, read_truth_csv
+from skymoor.types import Array
+
+if TYPE_CHECKING:
+    import pycolmap
+
+RUN_FIRST = "run skymoor run first"
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedComponent:
+    """One component of a set of photos; `summary` is its part of summary.json, and the rest is for convenience.
+
+    Attributes:
+        set, index: which one; its products are called `name`.
+        registered, reason: whether skymoor believes its place, and why not.
+        enu_from_sfm: metres of the site from the units of the reconstruction; None where it is not registered.
+        ce90_m, le90_m: predicted, means over the cameras; None where it is not registered.
+    """
+
+    set: str
+    index: int
+    registered: bool
+    reason: str
+    enu_from_sfm: Similarity | None
+    ce90_m: float | None
+    le90_m: float | None
+    summary: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Such as airborne_0."""
+        return f"{self.set}_{self.index}"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What `skymoor run` left in `folder`.
+
+    Attributes:
+        folder: of the run.
+        summary: summary.json, as it is.
+        frame: of all ENU positions.
+        covariance: of the reference (3, 3), m^2, east-north-up.
+        components: of all sets, in the order of the summary.
+    """
+
+    folder: Path
+    summary: dict[str, Any]
+    frame: EnuFrame
+    covariance: Array
+    components: tuple[PlacedComponent, ...]
+
+    @classmethod
+    def read(cls, folder: Path | str) -> Result:
+        """Read the folder of a finished run. Raises `InputError` when there is none, or it is damaged."""
+        path = Path(folder) / "summary.json"
+        try:
+            summary = json.loads(path.read_text(encoding="utf-8"))
+            origin = summary["enu_origin"]
+            frame = EnuFrame(float(origin["lat"]), float(origin["lon"]), float(origin["height"]))
+            covariance = np.array(summary["reference"]["covariance_m2"], dtype=np.float64)
+            components = tuple(_component(one["set"], part) for one in summary["sets"] for part in one["components"])
+        except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+            raise InputError(f"{path}: no summary of a finished run ({error}); {RUN_FIRST}") from error
+        return cls(Path(folder), summary, frame, covariance, components)
+
+    @property
+    def registered(self) -> bool:
+        """Whether every set is."""
+        return all(one["status"] == "REGISTERED" for one in self.summary["sets"])
+
+    @cached_property
+    def cameras(self) -> tuple[CameraRow, ...]:
+        """Every image of the run, as cameras.csv has them. Raises `InputError` when that cannot be read."""
+        return tuple(read_camera_rows(self.folder / "cameras.csv"))
+
+    @cached_property
+    def placed(self) -> tuple[CameraRow, ...]:
+        """Those with a place."""
+        return tuple(row for row in self.cameras if row.lat is not None)
+
+    def scene_centres(self) -> dict[tuple[str, int], Array]:
+        """Where each registered component's scene is, (3,) ENU metres, by set and number."""
+        return {
+            (one.set, one.index): np.array(one.summary["scene_centre_enu"], dtype=np.float64)
+            for one in self.components
+            if "scene_centre_enu" in one.summary
+        }
+
+    def photo(self, image: str) -> Path:
+        """The file of a photo by its name in cameras.csv. Raises `InputError` when it is not where it was."""
+        folders = {one["set"]: Path(one["folder"]) for one in self.summary["sets"] if "folder" in one}
+        known = next((row.set for row in self.cameras if row.image == image), None)
+        path = folders[known] / PurePosixPath(image).name if known in folders else None
+        if path is None or not path.is_file():
+            raise InputError(f"{path or image}: the photo is not where the run found it; put it back, or {RUN_FIRST}")
+        return path
+
+    def model(self, component: PlacedComponent) -> pycolmap.Reconstruction:
+        """The COLMAP model of a component in ENU metres. Raises `InputError` where it has none, or it is damaged."""
+        import pycolmap
+
+        folder = self.folder / "colmap" / component.name
+        try:
+            return pycolmap.Reconstruction(str(folder))
+        except Exception as error:  # of a file that is cut off, anything
+            raise InputError(f"{folder}: no COLMAP model of the run; {RUN_FIRST}") from error
+
+    def residuals(self, component: PlacedComponent) -> Array | None:
+        """What the transform leaves at the matches that agree, (n, 3) metres east, north, up; None if not kept."""
+        try:
+            with np.load(self.folder / "matches" / f"{component.name}.npz", allow_pickle=False) as arrays:
+                metres: Array = np.asarray(arrays["residuals_m"], np.float64)[arrays["inliers"]]
+        except (OSError, EOFError, BadZipFile, ValueError, KeyError, IndexError):  # a former version's, or damaged
+            return None
+        return metres if len(metres) else None
+
+    def evaluate(self, truth: Path | str) -> list[EvaluationRow]:
+        """Errors against truth.csv (`image,lat,lon,height`), metres, one row for each set and component.
+
+        Raises `InputError` when the table cannot be read, or does not know a camera that has a place.
+        """
+        estimates, truths = read_cameras_csv(self.folder / "cameras.csv"), read_truth_csv(Path(truth))
+        return evaluate(estimates, truths, self.frame, self.covariance, self.scene_centres())
+
+    def _repr_html_(self) -> str:
+        return summary_html(self.summary)
+
+
+def _component(set_name: str, summary: dict[str, Any]) -> PlacedComponent:
+    transform = summary.get("enu_from_sfm")
+    similarity = None
+    if transform is not None:
+        similarity = Similarity.from_quaternion_wxyz(
+            transform["scale"], transform["quaternion_wxyz"], transform["translation_m"]
+        )
+    return PlacedComponent(
+        set=str(set_name),
+        index=int(summary["component"]),
+        registered=summary["status"] == "REGISTERED",
+        reason=str(summary["reason"]),
+        enu_from_sfm=similarity,
+        ce90_m=summary.get("predicted_ce90_m"),
+        le90_m=summary.get("predicted_le90_m"),
+        summary=summary,
+    )

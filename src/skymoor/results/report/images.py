@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures as parts of a page: small JPEGs in the text itself."""
+
+from __future__ import annotations
+
+import base64
+import io
+from pathlib import Path
+
+import numpy as np
+from PIL import Image as Pillow
+
+from skymoor.engines.tensors import fitted
+from skymoor.results.report.renderings import difference_picture
+from skymoor.types import Array32, Image
+
+SIDE_PX, QUALITY = 1200, 80
+
+
+def data_uri(rgb: Image, side_px: int = SIDE_PX) -> str:
+    """A picture (h, w, 3), made smaller if it is larger than a page can use, as the address of itself."""
+    small, _ = fitted(np.ascontiguousarray(rgb), side_px, 1)
+    content = io.BytesIO()
+    Pillow.fromarray(small).save(content, "JPEG", quality=QUALITY, optimize=True)
+    return "data:image/jpeg;base64," + base64.b64encode(content.getvalue()).decode()
+
+
+def file_uri(path: Path, side_px: int = SIDE_PX) -> str | None:
+    """A picture of the run as `data_uri`; None where the run made none, or it is damaged."""
+    try:
+        with Pillow.open(path) as image:
+            return data_uri(np.asarray(image.convert("RGB")), side_px)
+    except OSError:
+        return None
+
+
+def difference_uri(metres: Array32) -> str:
+    """Heights that differ, cut to where any is known."""
+    rows, columns = np.nonzero(np.isfinite(metres))
+    part = metres[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    return data_uri(difference_picture(part), 900)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tables that skymoor reads: truth.csv of a user, cameras.csv of a run."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from skymoor.errors import InputError
+from skymoor.evaluate import Estimate, Truth
+from skymoor.results.formats import CameraRow
+
+TRUTH_COLUMNS = ("image", "lat", "lon", "height")
+ACCURACY = ("ce90", "le90")
+RELATIVE = ("relative_ce90", "relative_le90")  # runs of former versions have none
+ESTIMATED = ("lat", "lon", "height", *ACCURACY, *RELATIVE)
+TEXTS = ("image", "set", "component", "status")
+CAMERA_COLUMNS = (*TEXTS, "lat", "lon", "height", *ACCURACY)
+
+
+def read_truth_csv(path: Path) -> list[Truth]:
+    """Read `image,lat,lon,height` (WGS 84 degrees, ellipsoidal metres); more columns are allowed.
+
+    Raises `InputError`, naming file and line, for a missing column, a number that is none or out of range, and an
+    image that is listed twice.
+    """
+    truths: dict[str, Truth] = {}
+    for line, row in _rows(path, TRUTH_COLUMNS):
+        where = f"{path}, line {line}"
+        image = row["image"].strip().replace("\\", "/")
+        if not image:
+            raise InputError(f"{where}: the image has no name")
+        if image in truths:
+            raise InputError(f"{where}: the image {image} was listed before; keep one line")
+        numbers = [_number(row[column], column, where) for column in TRUTH_COLUMNS[1:]]
+        truths[image] = Truth(image, *numbers)
+    if not truths:
+        raise InputError(f"{path}: lists no images")
+    return list(truths.values())
+
+
+def read_cameras_csv(path: Path) -> list[Estimate]:
+    """Read the cameras.csv of a run. Raises `InputError`, naming file and line, for whatever does not fit."""
+    return [
+        Estimate(row["image"], row["set"], row["component"], row["status"] == "REGISTERED", **numbers)
+        for row, numbers in _cameras(path, ESTIMATED)
+    ]
+
+
+def read_camera_rows(path: Path) -> list[CameraRow]:
+    """The same with all that cameras.csv says."""
+    columns = [item.name for item in fields(CameraRow) if item.name not in TEXTS]
+    return [CameraRow(**row, **numbers) for row, numbers in _cameras(path, columns)]
+
+
+def _cameras(path: Path, columns: Sequence[str]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Image, set, component and status of each line, and the numbers in these columns, None where there is none."""
+    for line, row in _rows(path, CAMERA_COLUMNS):
+        where = f"{path}, line {line}"
+        if row["status"] not in ("REGISTERED", "NOT_REGISTERED"):
+            raise InputError(f"{where}: status {row['status']!r} is neither REGISTERED nor NOT_REGISTERED")
+        component = row["component"].strip()
+        if component and not re.fullmatch("[0-9]{1,9}", component):
+            raise InputError(f"{where}: component {component!r} is not a number")
+        numbers = {
+            column: _number(row[column], column, where) if row.get(column, "").strip() else None for column in columns
+        }
+        texts = {"image": row["image"], "set": row["set"], "status": row["status"]}
+        yield {**texts, "component": int(component) if component else None}, numbers
+
+
+def _rows(path: Path, columns: Sequence[str]) -> list[tuple[int, Mapping[str, str]]]:
+    """Lines with their numbers, every cell text. Raises `InputError`, naming file and line, for what is no table."""
+    try:
+        # utf-8-sig: spreadsheets put a byte order mark in front of the first column's name.
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file, strict=True)
+            header = [name.strip() for name in reader.fieldnames or ()]
+            missing = [column for column in columns if column not in header]
+            if missing:
+                raise InputError(
+                    f"{path}: the column {missing[0]} is missing; the first line must have {','.join(columns)}"
+                )
+            reader.fieldnames = header
+            rows: list[tuple[int, Mapping[str, str]]] = [(reader.line_num, row) for row in reader]
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as a table: {error}") from error
+    for line, row in rows:
+        if None in row or None in row.values():
+            raise InputError(f"{path}, line {line}: has {'more' if None in row else 'fewer'} cells than the first line")
+    return rows
+
+
+def _number(text: str, column: str, where: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        raise InputError(f"{where}: {column} = {text!r} is not a number") from None
+    limit = {"lat": 90.0, "lon": 360.0}.get(column, 1e6)
+    if not math.isfinite(number) or abs(number) > limit:
+        raise InputError(f"{where}: {column} = {text} is out of range")
+    return number

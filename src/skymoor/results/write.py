@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run leaves behind: summary, cameras, models, rasters and pictures, all by `Store`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skymoor import __version__
+from skymoor.engines.colmap import write_colmap
+from skymoor.errors import DegenerateGeometry
+from skymoor.geo import ce90_m, le90_m
+from skymoor.geometry import Similarity
+from skymoor.pipeline.job import Placed
+from skymoor.pipeline.options import MatchOptions, Options
+from skymoor.pipeline.overlay import lay_on_reference
+from skymoor.pipeline.site import Site
+from skymoor.registration import CameraAccuracy, camera_accuracy
+from skymoor.results.formats import (
+    CAMERA_COLUMNS,
+    CameraRow,
+    cameras_geojson,
+    cameras_table,
+    georeference,
+    geotiffs,
+    placed_cameras,
+    pointcloud_las,
+    unplaced_cameras,
+)
+from skymoor.results.report.renderings import (
+    confidence_picture,
+    height_picture,
+    match_picture,
+    overlay_picture,
+    residual_picture,
+)
+from skymoor.store import Store
+from skymoor.types import Array, Reference
+
+REGISTERED, NOT_REGISTERED = "REGISTERED", "NOT_REGISTERED"
+GROUND_STEP_PX = 3  # ground photos see the same wall often: a ninth of their pixels is enough for the cloud
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedSet:
+    """A set of photos by its name, its folder, the names of its images, and what became of its components."""
+
+    name: str
+    folder: Path
+    images: Sequence[str]
+    placed: Sequence[Placed]
+
+
+def accuracy_of(placed: Placed, reference: Reference) -> CameraAccuracy:
+    """How well the cameras of a registered component are known.
+
+    A ground component stands on an airborne one, and inherits how unsure that is at the place of its cameras.
+    """
+    base, shape = placed.base, placed.shape_enu
+    centres = np.array([camera.centre for camera in placed.cameras_enu]).reshape(-1, 3)
+    # What stands on another model takes its scale from that.
+    calibration = placed.component.calibration if base is None else None
+    found = camera_accuracy(placed.registration, centres, reference, calibration, shape)
+    if base is None:
+        return found
+    carried = camera_accuracy(base.registration, centres, reference, base.component.calibration)
+    return CameraAccuracy(found.shared, found.relative + carried.relative)
+
+
+def figures_of(accuracy: CameraAccuracy) -> Array:
+    """CE90 and LE90 of each camera, and both without the reference's error, (n, 4) metres."""
+    rows = [
+        [ce90_m(total), le90_m(total), ce90_m(relative), le90_m(relative)]
+        for total, relative in zip(accuracy.total, accuracy.relative, strict=True)
+    ]
+    return np.array(rows).reshape(-1, 4)
+
+
+def write_products(
+    sets: Sequence[PlacedSet],
+    site: Site,
+    reference: Reference,
+    options: Options,
+    seed: int,
+    provenance: Mapping[str, Any],
+    store: Store,
+) -> dict[str, Any]:
+    """Write all products of a run; returns the summary. `provenance` is what the run was made from."""
+    rows = [row for found in sets for row in camera_rows(found, reference)]
+    # Of the cameras of a former run; the summary comes back last, so that none describes products of another run.
+    for name in ("report.html", "evaluation.json", "summary.json"):
+        store.remove(name)
+    store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
+    store.write_json("cameras.geojson", cameras_geojson(rows))
+    for found in sets:
+        for k, item in enumerate(found.placed):
+            _write_component(f"{found.name}_{k}", item, reference, options.match, store)
+    _write_rasters([item for found in sets for item in found.placed], reference, options.match, store)
+    summary = {
+        "skymoor": __version__,
+        "site": site.name,
+        "seed": seed,
+        "options": options,
+        "reference": {
+            "ortho": site.reference.ortho.resolve(),
+            "dsm": site.reference.dsm.resolve(),
+            "vertical_datum": site.reference.vertical_datum,
+            "covariance_m2": reference.covariance,
+            "pixel_m": reference.grid.pixel_m,
+        },
+        "enu_origin": georeference(reference.frame, Similarity.identity())["enu_origin"],
+        "provenance": provenance,
+        "sets": [_set_summary(found, reference) for found in sets],
+        "stages": [asdict(record) for record in store.records],
+    }
+    store.write_json("summary.json", summary)
+    return summary
+
+
+def camera_rows(found: PlacedSet, reference: Reference) -> list[CameraRow]:
+    """Rows of cameras.csv. Components overlap: a photo counts in the first, largest one that holds it."""
+    rows: list[CameraRow] = []
+    seen: set[str] = set()
+    for k, item in enumerate(found.placed):
+        mine: list[CameraRow] = []
+        if item.registration.registered:
+            figures = figures_of(accuracy_of(item, reference))
+            mine = placed_cameras(found.name, k, item.cameras_enu, reference.frame, figures)
+        placed = {row.image for row in mine}
+        others = [camera.image for camera in item.component.cameras if camera.image not in placed]
+        mine += unplaced_cameras(found.name, k, others)
+        rows += [row for row in mine if row.image not in seen]
+        seen.update(row.image for row in mine)
+    return rows + unplaced_cameras(found.name, None, [image for image in found.images if image not in seen])
+
+
+def _set_summary(found: PlacedSet, reference: Reference) -> dict[str, Any]:
+    taken = {camera.image for item in found.placed for camera in item.component.cameras}
+    good = bool(found.placed) and all(item.registration.registered for item in found.placed)
+    return {
+        "set": found.name,
+        "folder": found.folder.resolve(),
+        "status": REGISTERED if good else NOT_REGISTERED,
+        "reason": "" if found.placed else "no two photos have enough in common",
+        "n_images": len(found.images),
+        "n_images_reconstructed": len(taken.intersection(found.images)),
+        "components": [_component_summary(k, item, reference) for k, item in enumerate(found.placed)],
+    }
+
+
+def _component_summary(index: int, item: Placed, reference: Reference) -> dict[str, Any]:
+    found = item.registration
+    calibration = item.component.calibration
+    summary: dict[str, Any] = {
+        "component": index,
+        "status": REGISTERED if found.registered else NOT_REGISTERED,
+        "reason": found.reason,
+        "n_cameras": len(item.component.cameras),
+        "n_matches": found.n_matches,
+        "n_inliers": found.n_inliers,
+        "inlier_ratio": found.inlier_ratio,
+        "tilt_deg": found.tilt_deg,
+        "rmse_m": found.rmse_m,
+        "diagnostics": found.diagnostics,
+        "reprojection_px": item.component.reprojection_px,
+        "calibration": calibration,
+        "calibration_note": calibration_note(item),
+        "gravity": item.gravity,
+        "metric_scale": item.metric,
+        "relief": item.relief,
+        "hypotheses": _hypotheses(item, reference),
+        "contradicting_cameras": [witness.image for witness in item.witnesses if witness.contradicts],
+    }
+    if found.registered and found.enu_from_level is not None:
+        ce90, le90, relative_ce90, relative_le90 = figures_of(accuracy_of(item, reference)).mean(axis=0).tolist()
+        enu_from_sfm = found.enu_from_level @ item.level_from_sfm
+        summary |= georeference(reference.frame, enu_from_sfm)
+        summary |= {"predicted_ce90_m": ce90, "predicted_le90_m": le90}
+        summary |= {"predicted_relative_ce90_m": relative_ce90, "predicted_relative_le90_m": relative_le90}
+        summary["scene_centre_enu"] = np.median(found.enu_from_level.apply(item.component.points), axis=0)
+    return summary
+
+
+def _hypotheses(item: Placed, reference: Reference, count: int = 3) -> list[dict[str, float]]:
+    """The likeliest places of a component, whichever is believed."""
+    told = []
+    for one in item.hypotheses[:count]:
+        lat, lon, _ = reference.frame.lla_from_enu([[one.east, one.north, 0.0]])[0].tolist()
+        told.append({"lat": lat, "lon": lon, **asdict(one)})
+    return told
+
+
+def calibration_note(item: Placed) -> str:
+    """What a person must know about the focal length, empty where it is well known."""
+    calibration = item.component.calibration
+    if calibration is None or not calibration.uncertain or item.base is not None:
+        return ""  # what stands on another model takes its scale from that
+    half = 100 * calibration.focal_sigma
+    note = f"The photos do not tell focal length from flying height (+-{half:.0f} %): heights of cameras are as unsure."
+    if calibration.relief_ratio is not None:
+        change = 100 * (calibration.relief_ratio - 1)
+        note = (
+            f"The photos did not tell focal length from flying height; the reference's relief changed the focal length "
+            f"by {change:+.1f} % and leaves +-{half:.0f} %."
+        )
+    return note
+
+
+def _write_component(name: str, item: Placed, reference: Reference, options: MatchOptions, store: Store) -> None:
+    _write_pictures(name, item, reference, options, store)
+    found, enu = item.registration, item.component_enu
+    if enu is not None and found.enu_from_level is not None:
+        store.write_folder(f"colmap/{name}", lambda folder: write_colmap(enu, folder))
+        transform = found.enu_from_level @ item.level_from_sfm
+        store.write_json(f"colmap/{name}/georeference.json", georeference(reference.frame, transform))
+    else:
+        store.remove(f"colmap/{name}")
+
+
+def _write_pictures(name: str, item: Placed, reference: Reference, options: MatchOptions, store: Store) -> None:
+    render, found = item.render, item.registration
+    if item.walls is not None:
+        store.write_png(f"matches/{name}_walls.png", item.walls)
+    if render is None:
+        return
+    store.write_png(f"renders/{name}_nadir_rgb.png", render.rgb)
+    store.write_png(f"renders/{name}_nadir_height.png", height_picture(render.xyz[..., 2]))
+    store.write_png(f"renders/{name}_nadir_confidence.png", confidence_picture(render.confidence))
+    store.write_npz(f"renders/{name}_nadir.npz", rgb=render.rgb, xyz=render.xyz, confidence=render.confidence)
+    if item.matches is None:
+        return
+    pixels = item.matches.pixels
+    picture = match_picture(render.rgb, reference.rgb, pixels, found.inliers)
+    store.write_png(f"matches/{name}_matches.png", picture)
+    inliers = np.zeros(len(pixels), bool) if found.inliers is None else found.inliers
+    residuals = np.full((len(pixels), 3), np.nan) if found.residuals_m is None else found.residuals_m
+    store.write_npz(
+        f"matches/{name}.npz",
+        px_render=pixels.px_a,
+        px_reference=pixels.px_b,
+        confidence=pixels.confidence,
+        xyz_level=item.matches.xyz_level,
+        xyz_enu=item.matches.xyz_enu,
+        inliers=inliers,
+        residuals_m=residuals,
+    )
+    if found.enu_from_level is None or found.residuals_m is None:
+        return
+    pixel_m = reference.grid.pixel_m
+    laid, _ = lay_on_reference(render, found, reference, options.min_height_confidence)
+    store.write_png(f"matches/{name}_overlay.png", overlay_picture(laid, reference.rgb, pixel_m=pixel_m))
+    arrows = residual_picture(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
+    store.write_png(f"matches/{name}_residuals.png", arrows)
+
+
+def _write_rasters(placed: Sequence[Placed], reference: Reference, options: MatchOptions, store: Store) -> None:
+    """pointcloud.laz, ortho.tif and dsm.tif of all registered components; smaller ones fill what larger leave."""
+    rgb = np.zeros((*reference.grid.shape, 3), np.uint8)
+    height = np.full(reference.grid.shape, np.nan, np.float32)
+    clouds, colours = [], []
+    for item in placed:
+        if not item.registration.registered or item.registration.enu_from_level is None:
+            continue
+        if item.render is None:
+            for xyz_level, rgb_of in (depth_map.points(step=GROUND_STEP_PX) for depth_map in item.depths):
+                clouds.append(item.registration.enu_from_level.apply(xyz_level.astype(np.float64)))
+                colours.append(rgb_of)
+            continue
+        believed = item.render.confidence >= options.min_height_confidence
+        clouds.append(item.registration.enu_from_level.apply(item.render.xyz[believed].astype(np.float64)))
+        colours.append(item.render.rgb[believed])
+        laid, up = lay_on_reference(item.render, item.registration, reference, options.min_height_confidence)
+        fill = np.isnan(height) & np.isfinite(up)
+        rgb[fill], height[fill] = laid.rgb[fill], up[fill]
+    names = ("pointcloud.laz", "ortho.tif", "dsm.tif")
+    try:
+        if not clouds:
+            raise DegenerateGeometry("nothing is registered")
+        cloud = pointcloud_las(np.concatenate(clouds), np.concatenate(colours), reference.frame, reference.crs)
+        contents = (cloud, *geotiffs(rgb, height, reference.grid, reference.frame, reference.crs))
+    except DegenerateGeometry:
+        for name in names:
+            store.remove(name)
+        return
+    for name, content in zip(names, contents, strict=True):
+        store.write_bytes(name, content)

@@ -1,7 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""A finished run in three dimensions: what there is to see, and a viewer that shows it in a browser."""
-
-from skymoor.view.scene import Frustum, Layer, Scene, draped, scene_of
-from skymoor.view.server import serve, view_run
-
-__all__ = ["Frustum", "Layer", "Scene", "draped", "scene_of", "serve", "view_run"]

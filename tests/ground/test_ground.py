@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ground photos on airborne walls: a known similarity comes back, and another site is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from skymoor.errors import DegenerateGeometry
+from skymoor.geometry import Similarity
+from skymoor.ground.walls import (
+    AirborneWalls,
+    GroundOptions,
+    PoolOptions,
+    airborne_walls,
+    hear_cameras,
+    moved_map,
+    search_ground,
+)
+from skymoor.types import Camera, DepthMap
+from support.houses import centres, from_the_air, houses, walk_round
+
+SITE, HOUSE = 1, 0
+# Narrower than by default, for time only.
+QUICK = GroundOptions(min_scale=1.5, max_scale=2.1, finalists=2, pool=PoolOptions(keep=5))
+
+
+@pytest.fixture(scope="module")
+def walls() -> AirborneWalls:
+    return airborne_walls(from_the_air(houses(SITE)), rng=np.random.default_rng(0))
+
+
+def floated(maps: list[DepthMap], *, tilt_deg: float = 0.6) -> tuple[list[DepthMap], Similarity]:
+    """Maps in a frame of their own, level but for a tilt, a unit near the cameras' height; and the way back."""
+    rotation = Rotation.from_euler("z", 130, degrees=True) * Rotation.from_euler("x", tilt_deg, degrees=True)
+    level_from_enu = Similarity(1 / 1.75, rotation.as_matrix(), np.array([40.0, -7.0, 3.0]))
+    return [moved_map(depth_map, level_from_enu) for depth_map in maps], level_from_enu.inverse()
+
+
+def test_a_walk_is_laid_where_it_was(walls: AirborneWalls) -> None:
+    maps, enu_from_level = floated(walk_round(houses(SITE), HOUSE))
+    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).judged()
+    assert found.registered, found.reason
+    assert found.enu_from_level is not None
+    gaps = found.enu_from_level.apply(centres(maps)) - enu_from_level.apply(centres(maps))
+    assert np.linalg.norm(gaps, axis=1).max() < 0.3
+    assert abs(found.enu_from_level.scale / enu_from_level.scale - 1) < 0.02
+    # The tilt that was put in comes out, and no more.
+    assert 0.1 < found.tilt_deg < 1.2
+    assert found.diagnostics["score"] > 1.25 * found.diagnostics["second_score"]
+    assert 1.3 < found.diagnostics["height_m"] < 1.9
+
+
+def test_windows_without_depth_do_not_matter(walls: AirborneWalls) -> None:
+    dark = [
+        replace(m, depth=np.where(m.rgb[..., 0] < 80, np.nan, m.depth).astype(np.float32))
+        for m in walk_round(houses(SITE), HOUSE)
+    ]
+    maps, enu_from_level = floated(dark)
+    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).judged()
+    assert found.registered, found.reason
+    assert found.enu_from_level is not None
+    gaps = found.enu_from_level.apply(centres(maps)) - enu_from_level.apply(centres(maps))
+    assert np.linalg.norm(gaps, axis=1).mean() < 0.3
+
+
+def test_another_site_is_refused(walls: AirborneWalls) -> None:
+    maps, _ = floated(walk_round(houses(SITE + 1), HOUSE))
+    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).judged()
+    assert not found.registered
+    assert found.reason
+
+
+def test_a_model_without_walls_is_refused(walls: AirborneWalls) -> None:
+    maps, _ = floated(walk_round(houses(SITE), HOUSE, count=2))
+    blind = [replace(m, depth=np.full_like(m.depth, np.nan)) for m in maps]
+    found = search_ground(blind, walls, QUICK, rng=np.random.default_rng(0)).judged()
+    assert not found.registered
+    assert "no wall" in found.reason
+
+
+def test_an_airborne_model_without_depth_is_an_error() -> None:
+    blind = [replace(m, depth=np.full_like(m.depth, np.nan)) for m in walk_round(houses(SITE), HOUSE, count=2)]
+    with pytest.raises(DegenerateGeometry, match="from above"):
+        airborne_walls(blind, rng=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("aside_m", [0.9, 1.8])
+def test_the_camera_that_was_moved_is_named(walls: AirborneWalls, aside_m: float) -> None:
+    maps = walk_round(houses(SITE), HOUSE)
+    pose = maps[5].camera.cam_from_world
+    sideways = Similarity(1.0, pose.rotation, pose.translation + [aside_m, 0.0, 0.0])
+    wrong = replace(maps[5], camera=Camera("wrong", maps[5].camera.intrinsics, sideways))
+    witnesses = hear_cameras([*maps[:5], wrong, *maps[6:]], walls, Similarity.identity(), rng=np.random.default_rng(0))
+    assert [w.image for w in witnesses if w.contradicts] == ["wrong"]
+    assert 0.8 * aside_m < witnesses[5].offset_m < 1.5 * aside_m
+    assert sum(w.heard for w in witnesses) >= 6
+    assert max(w.offset_m for w in witnesses if w.heard and not w.contradicts) < 0.3
+    assert all(w.best_score < 1.1 * w.score for w in witnesses if w.heard and not w.contradicts)

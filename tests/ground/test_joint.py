@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Components that are decided together: what one shows must not stand in what another looks through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from skymoor.geometry import Similarity
+from skymoor.ground import OneAnswer, conflict, decide_jointly
+from skymoor.ground.walls import Candidate, Guess, JudgeOptions, WallAnswers, moved_map
+from skymoor.types import Array, DepthMap, Registration
+from support.houses import centres, houses, walk_round
+
+WORLD = houses(1)
+HERE = Similarity.identity()
+
+
+def shown(maps: Sequence[DepthMap]) -> Array:
+    return np.concatenate([m.points(step=6)[0] for m in maps]).astype(np.float64)
+
+
+def share(a: Sequence[DepthMap], enu_from_a: Similarity, b: Sequence[DepthMap], enu_from_b: Similarity) -> float:
+    return conflict(shown(a), a, enu_from_a, shown(b), b, enu_from_b)
+
+
+def into_the_way() -> Similarity:
+    """The second house where the first model's cameras stand and look."""
+    cameras = centres(walk_round(WORLD, 0))[:, :2].mean(axis=0)
+    aside = 0.3 * WORLD.middle[0] + 0.7 * cameras - WORLD.middle[1]
+    return Similarity(1.0, np.eye(3), np.array([*aside, 0.0]))
+
+
+def answers(*candidates: tuple[float, Similarity]) -> WallAnswers:
+    found = [Registration(True, "", place, n_matches=200, n_inliers=150, tilt_deg=1.0) for _, place in candidates]
+    ranked = [
+        Candidate(Guess(place, 0, 0, 30.0), registration, place, score, 0.5, 2, 1.6, 0.0, 40, (8.0, 12.0))
+        for registration, (score, place) in zip(found, candidates, strict=True)
+    ]
+    return WallAnswers(tuple(ranked), centres(walk_round(WORLD, 1)), {"guesses": 3.0}, JudgeOptions())
+
+
+@pytest.fixture(scope="module")
+def first() -> list[DepthMap]:
+    return walk_round(WORLD, 0)
+
+
+@pytest.fixture(scope="module")
+def second() -> list[DepthMap]:
+    return walk_round(WORLD, 1)
+
+
+def test_models_that_stand_right_do_not_contradict_each_other(first: list[DepthMap], second: list[DepthMap]) -> None:
+    assert share(first, HERE, second, HERE) < 0.05
+    # The same walls from other places.
+    assert share(first[::2], HERE, walk_round(WORLD, 0, count=5), HERE) < 0.05
+
+
+def test_a_house_in_the_free_space_of_another_model_is_a_contradiction(
+    first: list[DepthMap], second: list[DepthMap]
+) -> None:
+    assert share(second, into_the_way(), first, HERE) > 0.6
+    assert share(first, HERE, second, into_the_way()) > 0.6
+
+
+def test_the_unit_of_a_model_does_not_matter(first: list[DepthMap], second: list[DepthMap]) -> None:
+    level_from_enu = Similarity(1 / 1.7, Rotation.from_euler("z", 40, degrees=True).as_matrix(), np.array([3.0, 2, 1]))
+    small = [moved_map(m, level_from_enu) for m in second]
+    wrong = into_the_way()
+    expected = share(second, wrong, first, HERE)
+    assert share(small, wrong @ level_from_enu.inverse(), first, HERE) == pytest.approx(expected, abs=0.02)
+
+
+def test_models_that_share_nothing_say_nothing(first: list[DepthMap], second: list[DepthMap]) -> None:
+    far = Similarity(1.0, np.eye(3), np.array([500.0, 0.0, 0.0]))
+    assert share(first, HERE, second, far) == 0
+
+
+def test_what_contradicts_a_surer_component_is_out(first: list[DepthMap], second: list[DepthMap]) -> None:
+    """Alone the second component is refused, for two places are nearly as good; one of them cannot be."""
+    sure, torn = answers((80.0, HERE)), answers((60.0, into_the_way()), (55.0, HERE))
+    assert "nearly as good" in torn.judged().reason
+    found = decide_jointly(["a", "b"], [sure, torn], [first, second])
+    assert [r.registered for r in found] == [True, True]
+    assert found[1].enu_from_level is HERE
+    assert found[1].diagnostics["second_contrast"] == 0
+    assert found[1].diagnostics["guesses"] == 3
+    # The order in which they come does not matter.
+    turned = decide_jointly(["b", "a"], [torn, sure], [second, first])
+    assert turned[0].enu_from_level is HERE
+
+
+def test_a_component_without_another_place_is_refused_by_name(first: list[DepthMap], second: list[DepthMap]) -> None:
+    wrong = into_the_way()
+    for lost in (answers((60.0, wrong)), OneAnswer(Registration(True, "", wrong, diagnostics={"score": 60.0}))):
+        found = decide_jointly(["walk-0", "walk-1"], [answers((80.0, HERE)), lost], [first, second])
+        assert [r.registered for r in found] == [True, False]
+        assert "contradicts walk-0" in found[1].reason
+
+
+def test_the_surer_one_stays_and_nothing_is_lost_without_components(
+    first: list[DepthMap], second: list[DepthMap]
+) -> None:
+    wrong = into_the_way()
+    found = decide_jointly(["a", "b"], [answers((50.0, HERE)), answers((90.0, wrong))], [first, second])
+    assert [r.registered for r in found] == [False, True]
+    assert decide_jointly([], [], []) == []
+    refused = OneAnswer(Registration(False, "too few", None))
+    assert decide_jointly(["a"], [refused], [first])[0].reason == "too few"
+    blind = [replace(m, depth=np.full_like(m.depth, np.nan)) for m in second]
+    assert decide_jointly(["a", "b"], [answers((80.0, HERE)), answers((60.0, wrong))], [first, blind])[1].registered
+
+
+def test_what_speaks_for_each_place_is_told_in_their_order() -> None:
+    found = answers((60.0, HERE), (20.0, into_the_way()))
+    assert found.evidence == [candidate.contrast for candidate in found.candidates]
+    assert found.evidence[0] > found.evidence[1] and len(found.places) == 2
+    assert OneAnswer(Registration(True, "", HERE, n_inliers=70)).evidence == [70.0]
+    assert OneAnswer(Registration(False, "too few", None)).evidence == []

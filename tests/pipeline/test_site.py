@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skymoor.errors import InputError
+from skymoor.geo import ce90_m, le90_m
+from skymoor.pipeline.site import load_site, site_from_arguments
+
+GOOD = """
+name = "office park"
+[reference]
+ortho = "reference/ortho.tif"
+dsm = "reference/dsm.tif"
+vertical_datum = "EPSG:3855"
+covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]
+[airborne]
+images = "airborne"
+[[ground]]
+images = "walk 1"
+[[ground]]
+images = "walk 2"
+[options]
+"match.cycle_px" = 3
+[options.model]
+pixel_m = 0.2
+"""
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    for folder in ("airborne", "walk 1", "walk 2", "reference"):
+        (tmp_path / folder).mkdir()
+    for name in ("ortho.tif", "dsm.tif"):
+        (tmp_path / "reference" / name).touch()
+    (tmp_path / "site.toml").write_text(GOOD)
+    return tmp_path / "site.toml"
+
+
+def change(site: Path, old: str, new: str) -> Path:
+    text = site.read_text()
+    assert old in text
+    site.write_text(text.replace(old, new, 1))
+    return site
+
+
+def test_reads_everything_relative_to_its_folder(site: Path) -> None:
+    loaded = load_site(site)
+    root = site.parent.resolve()
+    assert (loaded.name, loaded.root) == ("office park", root)
+    assert loaded.reference.ortho == root / "reference/ortho.tif"
+    assert loaded.reference.dsm == root / "reference/dsm.tif"
+    assert loaded.reference.vertical_datum == "EPSG:3855"
+    np.testing.assert_array_equal(loaded.reference.covariance, [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]])
+    assert loaded.airborne == root / "airborne"
+    assert loaded.ground == (root / "walk 1", root / "walk 2")
+    assert loaded.options == {"match.cycle_px": 3, "model": {"pixel_m": 0.2}}
+
+
+def test_ce90_le90_become_the_covariance_with_these_figures(site: Path) -> None:
+    change(site, "covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]", "ce90 = 2\nle90 = 3.8")
+    covariance = load_site(site).reference.covariance
+    assert ce90_m(covariance) == pytest.approx(2.0)
+    assert le90_m(covariance) == pytest.approx(3.8)
+
+
+def test_command_line_overrules_the_file(site: Path) -> None:
+    loaded = load_site(site, vertical_datum="ellipsoid", ce90=5.0, le90=6.0)
+    assert loaded.reference.vertical_datum == "ellipsoid"
+    assert ce90_m(loaded.reference.covariance) == pytest.approx(5.0)
+
+
+def test_datum_and_name_may_be_missing(site: Path) -> None:
+    change(site, 'name = "office park"', "")
+    change(site, 'vertical_datum = "EPSG:3855"', "")
+    loaded = load_site(site)
+    assert loaded.name == site.parent.name
+    assert loaded.reference.vertical_datum is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("vertical_datum", "vertical_datun", r"vertical_datun in \[reference\]; did you mean vertical_datum"),
+        ("[airborne]", "[airbourne]", "airbourne; did you mean airborne"),
+        ('images = "walk 1"', 'image = "walk 1"', r"image in \[ground\]; did you mean images"),
+        ('[[ground]]\nimages = "walk 1"\n[[ground]]', "[ground]", "double brackets"),
+        ('"reference/dsm.tif"', '"reference/none.tif"', r"reference\.dsm: there is no file .*none\.tif"),
+        ('dsm = "reference/dsm.tif"', "", r"dsm is missing in \[reference\]"),
+        ('"reference/dsm.tif"', "3", r"reference\.dsm = 3 must be text"),
+        ('images = "airborne"', 'images = "air"', r"airborne\.images: there is no folder"),
+        ('images = "airborne"', "", r"images is missing in \[airborne\]"),
+        ("[0.1, 1.6, 0]", "[0.2, 1.6, 0]", "symmetric"),
+        ("[0.1, 1.6, 0]", "[0.1, -1.6, 0]", "positive"),
+        ("[0.1, 1.6, 0], ", "", "covariance must be 3 rows"),
+        ("[0.1, 1.6, 0]", '"x"', "covariance must be 3 rows"),
+        ("covariance = ", "ce90 = 3\ncovariance = ", "keep one of them"),
+        ("covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]", "", "accuracy of the reference is not stated"),
+        ("covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]", "ce90 = 3", "le90 missing"),
+        ("covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]", "ce90 = 0\nle90 = 3", "above zero"),
+        ("covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]", "ce90 = true\nle90 = 3", "number of metres"),
+        ('name = "office park"', "name = office", "not valid TOML"),
+        ("[options]", "[options]\n[options]", "not valid TOML"),
+    ],
+)
+def test_every_mistake_is_one_clear_line(site: Path, old: str, new: str, message: str) -> None:
+    change(site, old, new)
+    with pytest.raises(InputError, match=message) as caught:
+        load_site(site)
+    assert "\n" not in str(caught.value)
+    assert str(site) in str(caught.value)
+
+
+def test_missing_reference_and_images(site: Path) -> None:
+    site.write_text("[airborne]\nimages = 'airborne'\n")
+    with pytest.raises(InputError, match=r"\[reference\] is missing"):
+        load_site(site)
+    site.write_text(GOOD.partition("[airborne]")[0])
+    with pytest.raises(InputError, match="no images to place"):
+        load_site(site)
+
+
+def test_no_file_folder_and_not_text(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        load_site(tmp_path / "none.toml")
+    with pytest.raises(InputError, match="is a folder"):
+        load_site(tmp_path)
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not valid TOML"):
+        load_site(tmp_path / "binary.toml")
+
+
+def test_site_from_arguments(site: Path) -> None:
+    root = site.parent
+    ortho, dsm = root / "reference/ortho.tif", root / "reference/dsm.tif"
+    made = site_from_arguments(root / "airborne", [root / "walk 1"], ortho, dsm, "ellipsoid", 2.0, 3.0)
+    assert made.root == root.resolve()
+    assert made.airborne == root / "airborne"
+    assert made.ground == (root / "walk 1",)
+    assert le90_m(made.reference.covariance) == pytest.approx(3.0)
+
+
+def test_site_from_arguments_mistakes(site: Path) -> None:
+    root = site.parent
+    ortho, dsm = root / "reference/ortho.tif", root / "reference/dsm.tif"
+    with pytest.raises(InputError, match=r"--dsm .*none\.tif"):
+        site_from_arguments(root / "airborne", [], ortho, root / "none.tif", None, 2.0, 3.0)
+    with pytest.raises(InputError, match="no such folder"):
+        site_from_arguments(root / "air", [], ortho, dsm, None, 2.0, 3.0)
+    with pytest.raises(InputError, match="no images"):
+        site_from_arguments(None, [], ortho, dsm, None, 2.0, 3.0)
+    with pytest.raises(InputError, match="--ce90"):
+        site_from_arguments(root / "airborne", [], ortho, dsm, None, None, None)

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a ground component that stands on an airborne one leaves in the tables."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skymoor.geo import EnuFrame, Grid
+from skymoor.geometry import Similarity
+from skymoor.ground.walls import CameraWitness
+from skymoor.pipeline.job import Placed
+from skymoor.results.write import PlacedSet, accuracy_of, camera_rows, figures_of
+from skymoor.types import Reference, Registration
+from support.blocks import block
+
+COVARIANCE = np.diag([0.5, 0.6, 2.0])
+REFERENCE = Reference(
+    EnuFrame(47.0, 8.0, 400.0),
+    Grid(-20.0, 20.0, 1.0, (40, 40)),
+    np.zeros((40, 40, 3), np.uint8),
+    np.ones((40, 40), bool),
+    np.zeros((40, 40), np.float32),
+    COVARIANCE,
+    0.5,
+)
+
+
+def registration(variance_m2: float, centre: list[float]) -> Registration:
+    covariance = np.diag([1e-8] * 4 + [variance_m2] * 3)
+    return Registration(
+        True, "", Similarity.identity(), covariance=covariance, centroid_enu=np.array(centre), n_matches=100
+    )
+
+
+@pytest.fixture
+def ground() -> Placed:
+    component = replace(block("orbit", relief_m=5.0), calibration=None)
+    base = Placed("airborne-0", component, Similarity.identity(), registration(0.3, [0, 0, 0]))
+    return Placed("ground0-0", component, Similarity.identity(), registration(0.2, [0, 0, 0]), base=base)
+
+
+def witness(image: str, *, contradicts: bool) -> CameraWitness:
+    return CameraWitness(image, 0.5, 0.5, 100, 1.2 if contradicts else 0.1, True, contradicts)
+
+
+def test_a_ground_camera_is_as_unsure_as_all_that_it_stands_on(ground: Placed) -> None:
+    alone = figures_of(accuracy_of(replace(ground, base=None), REFERENCE))
+    both = figures_of(accuracy_of(ground, REFERENCE))
+    # Horizontal variances of about 0.55 + 0.2, and with the airborne model's 0.3 on top.
+    assert np.median(both[:, 0] / alone[:, 0]) == pytest.approx(np.sqrt((0.55 + 0.5) / (0.55 + 0.2)), rel=0.02)
+    assert np.median(both[:, 1]) == pytest.approx(1.6449 * np.sqrt(2.0 + 0.5), rel=0.05)
+    # The same without the reference's error.
+    assert np.median(both[:, 2] / alone[:, 2]) == pytest.approx(np.sqrt(0.5 / 0.2), rel=0.02)
+    assert np.median(both[:, 3]) == pytest.approx(1.6449 * np.sqrt(0.5), rel=0.05)
+
+
+def test_a_camera_that_contradicts_gets_no_place(ground: Placed) -> None:
+    images = [camera.image for camera in ground.component.cameras]
+    doubted = replace(ground, witnesses=[witness(image, contradicts=image == images[1]) for image in images])
+    rows = camera_rows(PlacedSet("ground0", Path("ground"), [*images, "ground/alone.jpg"], [doubted]), REFERENCE)
+    assert sorted(row.image for row in rows) == sorted([*images, "ground/alone.jpg"])
+    unplaced = {row.image: row for row in rows if row.lat is None}
+    assert set(unplaced) == {images[1], "ground/alone.jpg"}
+    assert unplaced[images[1]].component == 0 and unplaced["ground/alone.jpg"].component is None
+    assert all(row.status == "REGISTERED" for row in rows if row.image not in unplaced)
+
+
+def test_what_a_doubted_camera_sees_leaves_the_model(ground: Placed) -> None:
+    images = [camera.image for camera in ground.component.cameras]
+    turn = Similarity.from_quaternion_wxyz(2.0, [0.9, 0.1, 0.3, -0.2], [5.0, 6.0, 7.0])
+    doubted = replace(
+        ground,
+        witnesses=[witness(image, contradicts=image == images[1]) for image in images],
+        registration=replace(ground.registration, enu_from_level=turn),
+    )
+    whole, left = ground.component.moved(turn), doubted.component_enu
+    assert left is not None
+    assert [camera.image for camera in left.cameras] == [image for image in images if image != images[1]]
+    np.testing.assert_allclose(left.centres, np.delete(whole.centres, 1, axis=0), atol=1e-9)
+    kept = whole.obs_camera != 1
+    np.testing.assert_array_equal(left.obs_px, whole.obs_px[kept])
+    np.testing.assert_array_equal(left.obs_camera, whole.obs_camera[kept] - (whole.obs_camera[kept] > 1))
+    np.testing.assert_array_equal(left.points, whole.points)
+    assert replace(doubted, registration=replace(ground.registration, registered=False)).component_enu is None

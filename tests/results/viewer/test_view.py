@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scene of a run, and the viewer that shows it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skymoor.cli.main import main
+from skymoor.errors import InputError
+from skymoor.geo import Grid
+from skymoor.results.read import Result
+from skymoor.results.viewer import draped, scene_of
+from support.finished import finished_run
+
+
+def test_everything_lies_in_the_same_metres(tmp_path: Path) -> None:
+    scene = scene_of(Result.read(finished_run(tmp_path)))
+    layers = {layer.name: layer for layer in scene.layers}
+    assert set(layers) == {"satellite", "model surface", "point cloud"}
+    surface, cloud = layers["model surface"].points, layers["point cloud"].points
+    assert np.abs(np.median(surface, axis=0) - np.median(cloud, axis=0)).max() < 0.6
+    assert layers["satellite"].faces is not None and layers["satellite"].faces.max() < len(layers["satellite"].points)
+    (frustums,) = scene.cameras.values()
+    assert len(frustums) == 9
+    np.testing.assert_allclose(frustums[0].position, [20, 0, 40], atol=1e-6)
+    np.testing.assert_array_equal(frustums[0].enu_from_camera_wxyz, [0, -1, 0, 0])
+    assert scene.notes == ()
+
+
+def test_photos_that_have_moved_are_told_once(tmp_path: Path) -> None:
+    run = finished_run(tmp_path)
+    summary = json.loads((run / "summary.json").read_text())
+    summary["sets"][0]["folder"] = str(tmp_path / "moved")
+    (run / "summary.json").write_text(json.dumps(summary))
+    scene = scene_of(Result.read(run))
+    (note,) = scene.notes
+    assert str(tmp_path / "moved") in note and "not where the run found it" in note
+    assert sum(map(len, scene.cameras.values())) == 9
+
+
+def test_a_draped_surface_has_no_triangle_over_a_hole() -> None:
+    height = np.zeros((4, 5), np.float32)
+    height[1, 2] = np.nan
+    layer = draped("x", Grid(0.0, 4.0, 1.0, (4, 5)), np.zeros((4, 5, 3), np.uint8), height)
+    assert layer.faces is not None
+    assert len(layer.points) == 19
+    assert len(layer.faces) == 2 * (3 * 4 - 4)
+    corners = layer.points[layer.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normal[:, 2] > 0).all()  # seen from above
+
+
+def test_a_run_without_anything_on_earth_is_told(tmp_path: Path) -> None:
+    run = finished_run(tmp_path, registered=False)
+    (tmp_path / "dsm.tif").unlink()
+    with pytest.raises(InputError, match=r"nothing of this run has a place"):
+        scene_of(Result.read(run))
+
+
+@pytest.mark.parametrize("port", ["0", "65536"])
+def test_a_port_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], port: str) -> None:
+    assert main(["view", str(finished_run(tmp_path)), "--port", port]) == 2
+    assert f"--port {port}" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(find_spec("viser") is None, reason="viser is not installed: pip install skymoor[view]")
+def test_the_viewer_answers_until_it_is_interrupted(tmp_path: Path) -> None:
+    run = finished_run(tmp_path)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    # A process of its own: viser leaves sockets and an event loop to the end of the process.
+    # A background job's children are born deaf to Ctrl+C.
+    listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code = listen + f"from skymoor.cli.main import main; main(['view', {str(run)!r}, '--port', '{port}', '--no-open'])"
+    with subprocess.Popen([sys.executable, "-u", "-c", code], stdout=subprocess.PIPE, text=True) as viewer:
+        try:
+            assert viewer.stdout is not None
+            assert f"http://127.0.0.1:{port}: the viewer" in viewer.stdout.readline()
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=120) as answer:
+                assert b"<html" in answer.read().lower()
+            viewer.send_signal(signal.SIGINT)
+            assert viewer.wait(120) == 0
+        finally:
+            viewer.kill()
