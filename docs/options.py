@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import inspect
-import re
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from typing import Any
 
+from skymoor.pipeline.option_docs import descriptions_of
+from skymoor.pipeline.option_parser import option_fields
+
 MARK = "<!-- options -->"
-ENTRY = re.compile(r"^    (\w+(?:, \w+)*): (.*)")
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
@@ -24,7 +24,7 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 def _sections(options: Any) -> list[str]:
     """A table for each stage; the groups of a stage follow in it."""
     lines: list[str] = []
-    for item in fields(options):
+    for item in option_fields(options):
         value = getattr(options, item.name)
         if is_dataclass(value):
             lines += ["", f"## {item.name}", "", "| option | default | what it is |", "|---|---|---|"]
@@ -33,8 +33,8 @@ def _sections(options: Any) -> list[str]:
 
 
 def _rows(group: Any, prefix: str) -> list[str]:
-    told, lines, inside = _attributes(type(group)), [], []
-    for item in fields(group):
+    told, lines, inside = descriptions_of(type(group)), [], []
+    for item in option_fields(group):
         value, name = getattr(group, item.name), prefix + item.name
         if is_dataclass(value):
             inside += _rows(value, f"{name}.")
@@ -46,20 +46,3 @@ def _rows(group: Any, prefix: str) -> list[str]:
 
 def _spelt(value: object) -> str:
     return "none" if value is None else f"`{value}`" if str(value) else "empty"
-
-
-def _attributes(kind: type) -> dict[str, str]:
-    """What the docstring says of each field."""
-    found: dict[str, str] = {}
-    names: list[str] = []
-    lines = (inspect.getdoc(kind) or "").partition("Attributes:\n")[2].splitlines()
-    for line in lines:
-        entry = ENTRY.match(line)
-        if entry:
-            names = entry[1].split(", ")
-            found |= dict.fromkeys(names, entry[2])
-        elif line.startswith("        "):
-            found |= {name: f"{found[name]} {line.strip()}" for name in names}
-        else:
-            names = []
-    return found

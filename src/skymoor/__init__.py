@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """skymoor moors floating 3D models to the Earth.
 
-For notebooks and scripts: `register` places photos, `read` reads what a run left, and both give a `Result`. Everything
-here is imported when it is first asked for, so that `import skymoor` costs nothing.
+For notebooks and scripts: `register` is the whole job, `read` loads what a run wrote, and both return a `Result`. Single
+steps are functions, too: `match_rasters`, `lift`, `register_matches`, `level_component`, `render_nadir`. Everything is
+imported when it is first used, so that `import skymoor` costs nothing.
 """
 
 # pycolmap exports its static zlib symbols; unless the system's zlib is loaded first, a later PNG write
@@ -13,38 +14,61 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from skymoor.api import read, register
+    from skymoor.api import RasterMatch, level_component, match_rasters, register
     from skymoor.errors import BackendUnavailable, InputError, SkymoorError
-    from skymoor.results.read import Result
+    from skymoor.model.views import render_nadir
+    from skymoor.registration import lift
+    from skymoor.registration import register as register_matches
+    from skymoor.results.read import Result, read
     from skymoor.results.report.plots import plot_cameras, plot_residuals, plot_stages
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "BackendUnavailable": "errors",
+    "InputError": "errors",
+    "RasterMatch": "api",
+    "Result": "results.read",
+    "SkymoorError": "errors",
+    "level_component": "api",
+    "lift": "registration.lift",
+    "match_rasters": "api",
+    "plot_cameras": "results.report.plots",
+    "plot_residuals": "results.report.plots",
+    "plot_stages": "results.report.plots",
+    "read": "results.read",
+    "register": "api",
+    "register_matches": "registration.airborne:register",
+    "render_nadir": "model.views",
+}
+"""Where each public name is defined, and what it is called there if that differs."""
 
 __all__ = [
     "BackendUnavailable",
     "InputError",
+    "RasterMatch",
     "Result",
     "SkymoorError",
     "__version__",
+    "level_component",
+    "lift",
+    "match_rasters",
     "plot_cameras",
     "plot_residuals",
     "plot_stages",
     "read",
     "register",
+    "register_matches",
+    "render_nadir",
 ]
-__version__ = "0.1.0"
-
-_HOMES = {
-    **dict.fromkeys(("BackendUnavailable", "InputError", "SkymoorError"), "skymoor.errors"),
-    "Result": "skymoor.results.read",
-    **dict.fromkeys(("read", "register"), "skymoor.api"),
-    **dict.fromkeys(("plot_cameras", "plot_residuals", "plot_stages"), "skymoor.results.report.plots"),
-}
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    module, _, other = _HOMES[name].partition(":")
+    return getattr(import_module(f"skymoor.{module}"), other or name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return list(__all__)

@@ -1,24 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""skymoor for notebooks and scripts: what `skymoor run` does, as a function that returns what came of it."""
+"""skymoor for notebooks and scripts: the whole job, and its steps one by one. The command line stands on it."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
-from numbers import Integral, Real
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
-from skymoor.cli import commands
-from skymoor.cli.arguments import Run
-from skymoor.errors import InputError
+import numpy as np
+
+from skymoor.errors import InputError, TooFewMatches
+from skymoor.match import CyclicOptions, DenseMatcher, SearchOptions, StructuralMatcher, match_placed
+from skymoor.match.decoys import decoy_scores
+from skymoor.match.search import search_placements
+from skymoor.orient import estimate_gravity, level_from_gravity
+from skymoor.pipeline.airborne import register_airborne
+from skymoor.pipeline.estimate import Step, estimate_run
+from skymoor.pipeline.ground import register_ground_sets
+from skymoor.pipeline.job import Job
+from skymoor.pipeline.log import logged
+from skymoor.pipeline.option_parser import with_options
+from skymoor.pipeline.options import Options, check_engines
+from skymoor.pipeline.provenance import provenance
+from skymoor.pipeline.site import Site, load_site, site_from_arguments
+from skymoor.reference.raster import raster_files
+from skymoor.reference.read import read_reference
+from skymoor.registration.chance import chance_probability
 from skymoor.results.read import Result
+from skymoor.results.report.write import write_report
+from skymoor.results.write import PlacedSet, write_products
+from skymoor.store import PRODUCTS, Store, check_photos, has_metadata, name_prefix
+from skymoor.types import Array, Component, Matches2D, Progress, Raster, no_progress
 
 Where = str | PathLike[str]
+StageProgress = Callable[..., None]
+"""Called with the name of a stage, steps done, steps in all, and now and then a line about how it goes."""
+
+LARGEST_SEED = 2**31 - 1  # COLMAP's
+
+
+def ignore(*_: object) -> None:
+    """Ignore progress and notes."""
 
 
 def register(
-    site: Where | None = None,
+    site: Where | Site | None = None,
     *,
     out: Where,
     airborne: Where | None = None,
@@ -30,14 +59,15 @@ def register(
     le90: float | None = None,
     options: Mapping[str, object] | None = None,
     seed: int = 0,
+    progress: StageProgress = ignore,
+    note: Callable[[str], None] = ignore,
 ) -> Result:
-    """Place a site's photos on the Earth, and read back what came of it.
+    """Register a site's photos on the Earth, and read back what came of it. Nothing is printed.
 
-    Call it again with the same `out` to go on where it stopped. It prints one line for each finished stage, as
-    `skymoor run --quiet` does.
+    Call it again with the same `out` to go on where it stopped.
 
     Args:
-        site: site.toml; or name the data by `airborne`, `ortho` and `dsm`.
+        site: site.toml, or one that was loaded; or name the data by `airborne`, `ortho` and `dsm`.
         out: folder for the results.
         airborne: folder of airborne photos.
         ground: a folder of ground photos, or several.
@@ -48,68 +78,209 @@ def register(
         le90: linear (vertical) error of the reference, 90 percent, metres.
         options: by dotted names or nested, such as {"match.max_height_m": 150}; they overrule those of the site.
         seed: makes a run repeatable.
+        progress: called with the name of a stage, steps done and in all, and now and then a line: progress("search",
+            3, 40). `note` is told in one line of anything odd.
 
     Returns:
-        The result, also where skymoor does not believe a place: `Result.registered` and the reasons of its
-        components say so.
+        The result, also where a component is refused: `Result.registered` and the reasons of its components say so.
 
     Raises:
-        InputError: data or options are wrong; one line names the file and the mend.
+        InputError: data or options are wrong; one line names the file and the remedy.
         BackendUnavailable: an optional engine was asked for that is not installed, or whose weights are not here.
     """
-    folders = [ground] if isinstance(ground, str | PathLike) else ground
-    command = Run(
-        site=_path(site),
-        out=Path(out),
-        airborne=_path(airborne),
-        ground=tuple(Path(folder) for folder in folders),
-        ortho=_path(ortho),
-        dsm=_path(dsm),
-        vertical_datum=vertical_datum,
-        ce90=ce90,
-        le90=le90,
-        set=tuple(_settings(options or {})),
-        seed=seed,
-        quiet=True,
+    reference: dict[str, Any] = {"ortho": ortho, "dsm": dsm, "vertical_datum": vertical_datum}
+    loaded = site_of(site, airborne=airborne, ground=ground, **reference, ce90=ce90, le90=le90)
+    chosen = with_options(Options(), {**loaded.options, **(options or {})})
+    weights = check_engines(chosen, ground=bool(loaded.ground))
+    _require_run(loaded, Path(out), seed)
+    with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
+        jobs = _jobs(loaded, chosen, store, seed, progress, note)
+        placed = [register_airborne(jobs[0])]
+        placed += register_ground_sets(jobs[1:], placed[0])
+        folders = _folders(loaded)
+        sets = [
+            PlacedSet(job.name, at, job.photos.names, one) for job, at, one in zip(jobs, folders, placed, strict=True)
+        ]
+        rasters = (loaded.reference.ortho, loaded.reference.dsm)
+        made_from = provenance(rasters, {job.name: job.photos for job in jobs}, weights, store)
+        write_products(sets, loaded, jobs[0].reference, chosen, seed, made_from, store)
+        result = Result.read(Path(out))
+        write_report(result, store)
+    return result
+
+
+def plan(
+    site: Site, options: Mapping[str, object], *, out: Where, seed: int = 0, progress: StageProgress = ignore
+) -> list[Step]:
+    """The steps of a run, with about how long each takes, after a check of all input; writes nothing.
+
+    Arguments and errors are those of `register`.
+    """
+    chosen = with_options(Options(), {**site.options, **options})
+    check_engines(chosen, ground=bool(site.ground))
+    _require_run(site, Path(out), seed)
+    airborne, *ground = (check_photos(folder, _track(progress, folder.name)) for folder in _folders(site))
+    files = site.reference
+    reference = read_reference(
+        files.ortho, files.dsm, files.vertical_datum, files.covariance, progress=_track(progress, "reference")
     )
-    commands.run(command)
-    return Result.read(command.out)
+    return estimate_run(airborne, ground, reference.rgb[..., 0].size, chosen)
 
 
-def read(folder: Where) -> Result:
-    """Read the folder of a finished run.
+@dataclass(frozen=True, eq=False)
+class RasterMatch:
+    """Where one raster lies in another.
+
+    Attributes:
+        b_from_a: (2, 3) affine, a similarity, from pixels of a to pixels of b.
+        scale: pixels of b per pixel of a.
+        azimuth_deg: by which a is turned clockwise in b, 0 to 360.
+        score: of the search, in standard deviations above chance; `null_scores` are those of decoys.
+        false_alarm_probability: that a raster which lies nowhere in b scores as much.
+        matches: cyclically consistent pixels of a and b.
+    """
+
+    b_from_a: Array
+    scale: float
+    azimuth_deg: float
+    score: float
+    null_scores: tuple[float, ...]
+    false_alarm_probability: float
+    matches: Matches2D
+
+
+def match_rasters(
+    a: Raster,
+    b: Raster,
+    *,
+    min_scale: float,
+    max_scale: float,
+    matcher: DenseMatcher | None = None,
+    options: SearchOptions | None = None,
+    cyclic: CyclicOptions | None = None,
+    seed: int = 0,
+    progress: Progress = no_progress,
+) -> RasterMatch:
+    """Find raster `a` in raster `b` at any heading, scale and place, and match the two densely (paper, section 3.2).
+
+    Args:
+        a, b: colours (h, w, 3), mask, and heights where they are known.
+        min_scale, max_scale: of what is searched, pixels of b per pixel of a.
+        matcher: of the dense matches; the structural one without.
+        options, cyclic: of the search and of the matches.
+        seed: of random choices.
 
     Raises:
-        InputError: there is none, or it is damaged.
+        TooFewMatches: b is too small to hold a at any scale.
     """
-    return Result.read(Path(folder))
+    common: dict[str, Any] = {"min_scale": min_scale, "max_scale": max_scale, "options": options}
+    placements = search_placements(a, b, **common, progress=progress)
+    if not placements:
+        raise TooFewMatches("the raster that is searched is too small to hold the other at any scale")
+    best = placements[0]
+    null = decoy_scores(a, b, **common, rng=np.random.default_rng(seed))
+    b_from_a, rng = best.matrix(a.mask.shape), np.random.default_rng(seed)
+    matches, _ = match_placed(a, b, b_from_a, matcher or StructuralMatcher(), cyclic, rng=rng)
+    azimuth_deg = float(np.degrees(best.heading_rad) % 360)
+    probability = chance_probability(best.score, null)
+    return RasterMatch(b_from_a, best.scale, azimuth_deg, best.score, tuple(null), probability, matches)
 
 
-def _path(where: Where | None) -> Path | None:
-    return None if where is None else Path(where)
+def level_component(component: Component, *, seed: int = 0) -> Component:
+    """An airborne component with z up, by its points and cameras (paper, section 3.1, gravity vector estimation).
+
+    Raises:
+        DegenerateGeometry: its points and cameras do not determine up.
+    """
+    gravity = estimate_gravity(component, rng=np.random.default_rng(seed))
+    return component.moved(level_from_gravity(component, gravity))
 
 
-def _settings(options: Mapping[str, object], prefix: str = "") -> Iterator[str]:
-    """As the command line has them: NAME=VALUE."""
-    for name, value in options.items():
-        if isinstance(value, Mapping):
-            yield from _settings(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}={_spelt(value, prefix + name)}"
+def site_of(
+    site: Where | Site | None = None,
+    *,
+    airborne: Where | None = None,
+    ground: Where | Sequence[Where] = (),
+    ortho: Where | None = None,
+    dsm: Where | None = None,
+    vertical_datum: str | None = None,
+    ce90: float | None = None,
+    le90: float | None = None,
+) -> Site:
+    """The site that these describe; see `register` for the arguments. Raises `InputError` where they clash or lack."""
+    if isinstance(site, Site):
+        return site
+    folders = tuple(Path(one) for one in ([ground] if isinstance(ground, str | PathLike) else ground))
+    given = {"airborne": airborne, "ortho": ortho, "dsm": dsm, "ground": folders or None}
+    if site is not None:
+        clash = next((name for name, value in given.items() if value is not None), None)
+        if clash is not None:
+            raise InputError(f"{site} already names the data: leave out --{clash}")
+        return load_site(Path(site), vertical_datum=vertical_datum, ce90=ce90, le90=le90)
+    if ortho is None or dsm is None:
+        raise InputError("name a site.toml, or give --airborne, --ortho and --dsm")
+    photos = None if airborne is None else Path(airborne)
+    return site_from_arguments(photos, folders, Path(ortho), Path(dsm), vertical_datum, ce90, le90)
 
 
-def _spelt(value: object, name: str) -> str:
-    """A value in TOML, or "none"."""
-    if value is None:
-        return "none"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, Integral):  # also numpy's
-        return str(int(value))
-    if isinstance(value, Real):
-        return repr(float(value))
-    if isinstance(value, str | PathLike):
-        return json.dumps(str(value), ensure_ascii=False)
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_spelt(item, name) for item in value)}]"
-    raise InputError(f"options: {name} = {value!r} is no number, text, truth value or list of them; write it as one")
+def _folders(site: Site) -> list[Path]:
+    """Of all sets of photos, the airborne one first."""
+    return [folder for folder in (site.airborne, *site.ground) if folder is not None]
+
+
+def _jobs(
+    site: Site, options: Options, store: Store, seed: int, progress: StageProgress, note: Callable[[str], None]
+) -> list[Job]:
+    """One job for each set of photos, all with the same reference."""
+    assert site.airborne is not None
+    track = partial(_track, progress)
+    photos = store.photos("photos", site.airborne, site.root, track("photos"))
+    count = has_metadata(site.airborne)
+    if count:
+        note(f"{count} photos carry EXIF or XMP metadata: it is ignored, nothing but pixels is used")
+    files = site.reference
+    reference = store.stage(
+        "reference",
+        read_reference,
+        files.ortho,
+        files.dsm,
+        files.vertical_datum,
+        files.covariance,
+        progress=track("reference"),
+        depends_on=raster_files(files.ortho, files.dsm),
+    )
+    airborne = Job(photos, reference, options, store, seed, track)
+    jobs = [airborne]
+    for k, folder in enumerate(site.ground):
+        name = f"ground{k}"
+        photos = store.photos(f"{name}.photos", folder, site.root, track(f"{name}.photos"))
+        jobs.append(replace(airborne, photos=photos, name=name))
+    return jobs
+
+
+def _track(progress: StageProgress, name: str) -> Progress:
+    """The progress callback of a stage."""
+
+    def update(done: int, total: int, note: str = "", /) -> None:
+        progress(name, done, total, note)
+
+    return update
+
+
+def _require_run(site: Site, out: Path, seed: int) -> None:
+    """What would go wrong later, or would harm the user's own files."""
+    if site.airborne is None:
+        raise InputError(f"{site.name}: it names no [airborne] images; ground photos are placed on the airborne model")
+    if not 0 <= seed <= LARGEST_SEED:
+        raise InputError(f"--seed {seed}: give a whole number from 0 to {LARGEST_SEED}")
+    folders, where = _folders(site), out.resolve()
+    for path in (site.reference.ortho, site.reference.dsm, *folders):
+        inside = path.resolve()
+        if inside == where or (inside.is_relative_to(where) and inside.relative_to(where).parts[0] in PRODUCTS):
+            raise InputError(f"{path}: lies where the results would be written; give another folder with --out")
+    for k, folder in enumerate(folders):
+        # Their photos would have the same names, and nobody could tell whose camera is whose.
+        prefix = name_prefix(folder, site.root)
+        twin = next((other for other in folders[:k] if name_prefix(other, site.root) == prefix), None)
+        if twin is not None:
+            raise InputError(f"{folder}: is named twice, or as {twin} is; name each folder of photos once, differently")

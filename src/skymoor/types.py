@@ -36,14 +36,22 @@ def no_progress(done: int, total: int, note: str = "", /) -> None:
 
 @dataclass(frozen=True)
 class Photos:
-    """A folder's images: names relative to the site, sizes (width, height), and how to read one as (h, w, 3) RGB."""
+    """A folder's images: names relative to the site, sizes (width, height), and how to read one as (h, w, 3) RGB.
+
+    `content` stands for all pixels where results are kept; without it they are read for that.
+    """
 
     names: tuple[str, ...]
     sizes: tuple[tuple[int, int], ...]
     read: Callable[[str], Image]
+    content: object = None
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def cache_key(self) -> object:
+        """What results that are computed from the photos depend on."""
+        return self.names, self.content if self.content is not None else [self.read(name) for name in self.names]
 
 
 @dataclass(frozen=True, eq=False)

@@ -109,6 +109,22 @@ class View:
     """Open the browser; --no-open only says the address."""
 
 
+@dataclass(frozen=True)
+class Clean:
+    """Delete the cache of a run, which keeps its results; the same run would compute everything again."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Folder of the run."""
+
+
+@dataclass(frozen=True)
+class Schema:
+    """Print the JSON schema of site.toml, for editors that complete and check it.
+
+    For example: skymoor schema > site.schema.json
+    """
+
+
 @dataclass(frozen=True, kw_only=True)
 class Simulate:
     """Make a site with exact truth: photos, orthophoto, DSM, site.toml, truth.csv.

@@ -13,7 +13,20 @@ from typing import Annotated, Any
 import tyro
 
 from skymoor import __version__
-from skymoor.cli.arguments import Completion, Demo, Doctor, Evaluate, Export, Report, Run, Simulate, View, Weights
+from skymoor.cli.arguments import (
+    Clean,
+    Completion,
+    Demo,
+    Doctor,
+    Evaluate,
+    Export,
+    Report,
+    Run,
+    Schema,
+    Simulate,
+    View,
+    Weights,
+)
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 from skymoor.pipeline.option_parser import nearest
 
@@ -28,10 +41,12 @@ COMMANDS = {
     "export": Export,
     "report": Report,
     "view": View,
+    "clean": Clean,
     "simulate": Simulate,
     "demo": Demo,
     "weights": Weights,
     "doctor": Doctor,
+    "schema": Schema,
     "completion": Completion,
 }
 _Command: Any = tyro.conf.OmitArgPrefixes[  # type: ignore[misc]
@@ -76,7 +91,7 @@ def _done(chosen: Any) -> int:
     """The exit status of a command that raised nothing."""
     if isinstance(chosen, Completion):
         return main(["--tyro-print-completion", chosen.shell])
-    from skymoor.cli import commands  # pycolmap, torch and OpenCV load here, not for --help
+    from skymoor.cli import commands
 
     if isinstance(chosen, Evaluate):
         commands.evaluate(chosen)
@@ -86,6 +101,10 @@ def _done(chosen: Any) -> int:
         commands.report(chosen)
     elif isinstance(chosen, View):
         commands.view(chosen)
+    elif isinstance(chosen, Clean):
+        commands.clean(chosen)
+    elif isinstance(chosen, Schema):
+        commands.schema()
     elif isinstance(chosen, Simulate):
         commands.simulate(chosen)
     elif isinstance(chosen, Weights):

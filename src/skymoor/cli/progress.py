@@ -15,7 +15,7 @@ from rich.progress import Progress as Bars
 from rich.table import Table
 
 from skymoor.pipeline.log import LOG
-from skymoor.store import plain
+from skymoor.store._plain import plain
 from skymoor.types import Progress
 
 NOTE_S = 20.0  # between two lines of one stage in a pipe
@@ -29,6 +29,8 @@ class Screen:
         stream = sys.stderr if for_scripts else sys.stdout
         self._console = Console(file=stream, width=None if stream.isatty() else 160, highlight=False)
         self._for_scripts = for_scripts
+        self._tracks: dict[str, Progress] = {}
+        self._ended: set[str] = set()
         self._plain = plain or not self._console.is_terminal
         self._bars = Bars(
             TextColumn("{task.description:>22}"),
@@ -60,6 +62,17 @@ class Screen:
             self._bars.update(task, completed=done, total=total, note=note)
 
         return update
+
+    def progress(self, stage: str, done: int, total: int, note: str = "", /) -> None:
+        """Progress of any stage, by its name; one that has ended begins anew where it is less than done again."""
+        if stage in self._ended and done >= total:
+            return
+        if stage not in self._tracks or stage in self._ended:
+            self._tracks[stage] = self.track(stage)
+            self._ended.discard(stage)
+        if done >= total:
+            self._ended.add(stage)
+        self._tracks[stage](done, total, note)
 
     def note(self, text: str) -> None:
         """One line."""

@@ -5,10 +5,10 @@ from skymoor.densify._depth_anything import DepthAnythingDepth, MetricDepthNetwo
 from skymoor.densify._marigold import MarigoldDepth
 from skymoor.densify._patchmatch import PatchMatchDepth, read_colmap_depth
 from skymoor.densify._sgm import SgmDepth
-from skymoor.densify.agreement import AgreementOptions, PhotoWitness, hear_photos
-from skymoor.densify.engines import MetricDepthOptions, RelativeDepthOptions, StereoOptions
-from skymoor.densify.metric_scale import MetricScale, scale_from_metric_depth
+from skymoor.densify.agreement import AgreementOptions, PhotoWitness, check_camera_poses, hear_photos
+from skymoor.densify.metric_scale import MetricScale, metric_scale_of_photos, scale_from_metric_depth
 from skymoor.densify.protocol import DepthEstimator, MetricDepth, MonocularDepth
+from skymoor.densify.single_photos import relative_depths
 from skymoor.densify.views import blind_map
 
 __all__ = [
@@ -18,16 +18,16 @@ __all__ = [
     "MarigoldDepth",
     "MetricDepth",
     "MetricDepthNetwork",
-    "MetricDepthOptions",
     "MetricScale",
     "MonocularDepth",
     "PatchMatchDepth",
     "PhotoWitness",
-    "RelativeDepthOptions",
     "SgmDepth",
-    "StereoOptions",
     "blind_map",
+    "check_camera_poses",
     "hear_photos",
+    "metric_scale_of_photos",
     "read_colmap_depth",
+    "relative_depths",
     "scale_from_metric_depth",
 ]

@@ -8,7 +8,7 @@ about focal lengths is applied here to the others.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 
 from skymoor.densify.protocol import MetricDepth, MonocularDepth
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.options import FIXED
 from skymoor.engines.weights import find
 from skymoor.engines.weights.repository import describes, open_model, reading
 from skymoor.errors import InputError
@@ -34,7 +35,7 @@ class DepthAnythingDepth:
     """
 
     weights: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
 
     def ready(self) -> tuple[Path, ...]:
         """The folder that will be read; see `__call__` for what is raised where something is missing."""
@@ -74,7 +75,7 @@ class MetricDepthNetwork:
     """
 
     weights: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     canonical_focal_px: float = 1000.0
     max_m: float = 75.0
 

@@ -6,7 +6,7 @@ Ke et al., Repurposing Diffusion-Based Image Generators for Monocular Depth Esti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 
 from skymoor.densify.protocol import MonocularDepth
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.options import FIXED
 from skymoor.engines.weights import find
 from skymoor.engines.weights.repository import describes, open_model, reading
 from skymoor.errors import InputError
@@ -35,11 +36,11 @@ class MarigoldDepth:
     """
 
     weights: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     side_px: int = 768
     steps: int = 0
     ensemble: int = 1
-    seed: int = 0
+    seed: int = field(default=0, metadata=FIXED)
 
     def __post_init__(self) -> None:
         if self.side_px < 64 or self.steps < 0 or self.ensemble < 1:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -22,6 +22,7 @@ from skymoor.densify.neighbours import stereo_partners
 from skymoor.densify.protocol import DepthEstimator
 from skymoor.densify.views import reduced, undistorted
 from skymoor.engines.colmap import colmap_from_component
+from skymoor.engines.options import FIXED
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.types import Array32, Camera, Component, DepthMap, Image, Photos, Progress, no_progress
 
@@ -45,12 +46,12 @@ class PatchMatchDepth:
 
     colmap: str = ""
     max_px: int = 1600
-    partners: int = 8
-    best_angle_deg: float = 14.0
-    max_angle_deg: float = 35.0
-    min_views: int = 2
-    tolerance_ratio: float = 0.01
-    noise_px: float = 0.3
+    partners: int = field(default=8, metadata=FIXED)
+    best_angle_deg: float = field(default=14.0, metadata=FIXED)
+    max_angle_deg: float = field(default=35.0, metadata=FIXED)
+    min_views: int = field(default=2, metadata=FIXED)
+    tolerance_ratio: float = field(default=0.01, metadata=FIXED)
+    noise_px: float = field(default=0.3, metadata=FIXED)
 
     def ready(self) -> tuple[Path, ...]:
         """No weights are read; see `__call__` for what is raised where no COLMAP can use a GPU."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import cv2
@@ -20,6 +20,7 @@ from skymoor.densify.fuse import fuse_depths
 from skymoor.densify.neighbours import depth_range, stereo_partners
 from skymoor.densify.protocol import DepthEstimator
 from skymoor.densify.views import reduced, undistorted
+from skymoor.engines.options import FIXED
 from skymoor.geometry import Intrinsics
 from skymoor.types import Array, Array32, Camera, Component, DepthMap, Image, Mask, Photos, Progress, no_progress
 
@@ -42,11 +43,11 @@ class SgmDepth:
     """
 
     max_px: int = 800
-    partners: int = 4
-    best_angle_deg: float = 14.0
-    max_angle_deg: float = 35.0
-    min_views: int = 2
-    noise_grey: float = 3.0
+    partners: int = field(default=4, metadata=FIXED)
+    best_angle_deg: float = field(default=14.0, metadata=FIXED)
+    max_angle_deg: float = field(default=35.0, metadata=FIXED)
+    min_views: int = field(default=2, metadata=FIXED)
+    noise_grey: float = field(default=3.0, metadata=FIXED)
 
     def __call__(self, component: Component, photos: Photos, *, progress: Progress = no_progress) -> list[DepthMap]:
         """Depth maps of all cameras that have partners; see `DepthEstimator`."""

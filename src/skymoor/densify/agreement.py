@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from skymoor.types import Array, Array32, DepthMap, Image, Mask
+from skymoor.densify.views import blind_map
+from skymoor.types import Array, Array32, Camera, DepthMap, Image, Mask, Photos
 
 BLUR_PX, NEAR_RATIO = 1.0, 1.03  # of the pictures; depths that differ by less are one surface
 
@@ -71,6 +72,16 @@ def hear_photos(maps: Sequence[DepthMap], options: AgreementOptions | None = Non
         return heard
     # Once more without what doubtful cameras lend: of two that see one place, the other may be the wrong one.
     return _heard(maps, clouds, [not witness.contradicts for witness in heard], options)
+
+
+def check_camera_poses(
+    cameras: Sequence[Camera], depths: Sequence[DepthMap], photos: Photos, options: AgreementOptions | None = None
+) -> list[PhotoWitness]:
+    """`hear_photos` for all cameras of a component, also for those whose photos have no depth map."""
+    options = options or AgreementOptions()
+    measured = {depth_map.camera.image for depth_map in depths}
+    others = [camera for camera in cameras if camera.image not in measured]
+    return hear_photos([*depths, *(blind_map(camera, photos, options.width_px) for camera in others)], options)
 
 
 def _heard(

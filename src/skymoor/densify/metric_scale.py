@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skymoor.densify.protocol import MetricDepth
 from skymoor.errors import TooFewMatches
-from skymoor.types import Array, Array32, DepthMap
+from skymoor.types import Array, Array32, DepthMap, Progress, no_progress
 
 MAD = 1.4826  # of a normal distribution's standard deviation and its median absolute deviation
 MEDIAN = 1.2533  # and of the errors of a median and a mean
@@ -69,3 +70,17 @@ def scale_from_metric_depth(
     spread = MAD * float(np.median(np.abs(per_photo - middle)))
     sigma = float(np.hypot(MEDIAN * spread / np.sqrt(len(logs)), common_sigma_ratio))
     return MetricScale(float(np.exp(middle)), sigma, np.exp(per_photo))
+
+
+def metric_scale_of_photos(
+    maps: Sequence[DepthMap], engine: MetricDepth, *, progress: Progress = no_progress
+) -> MetricScale | None:
+    """How many metres a unit of a component is, by a network's depths of its photos; None where they cannot tell."""
+    metres = []
+    for depth_map in maps:
+        metres.append(engine(depth_map.rgb, depth_map.camera.intrinsics.fx))
+        progress(len(metres), len(maps))
+    try:
+        return scale_from_metric_depth(maps, metres)
+    except TooFewMatches:
+        return None

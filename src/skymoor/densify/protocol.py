@@ -11,6 +11,10 @@ from skymoor.types import Array32, Component, DepthMap, Image, Photos, Progress
 class DepthEstimator(Protocol):
     """Depth maps of a component's photos, in the component's frame and unit."""
 
+    @property
+    def max_px(self) -> int:
+        """Long side of the depth maps, at most."""
+
     def __call__(self, component: Component, photos: Photos, *, progress: Progress) -> list[DepthMap]:
         """One depth map per camera that has partners to measure with."""
 

@@ -6,7 +6,7 @@ Zhao et al., ALIKED: A Lighter Keypoint and Descriptor Extraction Network via De
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.options import FIXED
 from skymoor.engines.tensors import as_tensor, fitted
 from skymoor.engines.weights import find, load_into
 from skymoor.types import Array, Image
@@ -34,7 +35,7 @@ class AlikedFeatures:
     """
 
     weights: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     max_keypoints: int = 4096
     side_px: int = 1600
 

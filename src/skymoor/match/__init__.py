@@ -9,22 +9,21 @@ from skymoor.match._romav2 import RomaV2Matcher
 from skymoor.match.align import lay, match_placed
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
 from skymoor.match.decoys import DecoyOptions, decoy_scores
-from skymoor.match.engines import MatcherOptions, RetrieverOptions
 from skymoor.match.protocol import DenseMatcher, Retriever
+from skymoor.match.retrieve import ChannelRetriever
 from skymoor.match.search import Placement, SearchOptions, search_placements
 from skymoor.match.structural import StructuralMatcher
 
 __all__ = [
     "AlikedMatcher",
     "AnyLocRetriever",
+    "ChannelRetriever",
     "CyclicOptions",
     "DecoyOptions",
     "DenseMatcher",
     "LoftrMatcher",
-    "MatcherOptions",
     "Placement",
     "Retriever",
-    "RetrieverOptions",
     "RomaMatcher",
     "RomaV2Matcher",
     "SearchOptions",

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ import numpy as np
 
 from skymoor.engines.aliked import AlikedFeatures
 from skymoor.engines.libraries import require
+from skymoor.engines.options import FIXED
 from skymoor.errors import InputError
 from skymoor.match.flow import warp_from_pairs
 from skymoor.match.protocol import DenseMatcher
@@ -38,7 +39,7 @@ class AlikedMatcher:
     """
 
     weights: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     max_keypoints: int = 4096
     max_ratio: float = 0.98
     side_px: int = 1600

@@ -7,7 +7,7 @@ Keetha et al., AnyLoc: Towards Universal Visual Place Recognition, RA-L 2023; Oq
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.options import FIXED
 from skymoor.engines.tensors import as_tensor, fitted
 from skymoor.engines.weights import find
 from skymoor.engines.weights.repository import open_model
@@ -47,12 +48,12 @@ class AnyLocRetriever:
 
     weights: str = ""
     size: Literal["giant", "small"] = "giant"
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     layer: int = -1
     clusters: int = 32
     side_px: int = 448
-    vocabulary_tiles: int = 100
-    seed: int = 0
+    vocabulary_tiles: int = field(default=100, metadata=FIXED)
+    seed: int = field(default=0, metadata=FIXED)
 
     def __post_init__(self) -> None:
         if self.clusters < 1 or self.vocabulary_tiles < 1 or self.layer < -1:

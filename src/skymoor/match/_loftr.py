@@ -6,7 +6,7 @@ Sun et al., LoFTR: Detector-Free Local Feature Matching with Transformers, CVPR 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.options import FIXED
 from skymoor.engines.tensors import as_tensor, fitted
 from skymoor.engines.weights import find, load_into
 from skymoor.errors import InputError
@@ -36,7 +37,7 @@ class LoftrMatcher:
     """
 
     weights: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     side_px: int = 640
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ Edstedt et al., RoMa: Robust Dense Feature Matching, CVPR 2024. The coarse featu
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.util import find_spec
 from itertools import islice
@@ -18,6 +18,7 @@ import numpy as np
 
 from skymoor.engines.batches import BatchMatcher, Pair
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.options import FIXED
 from skymoor.engines.tensors import as_tensor, fitted
 from skymoor.engines.weights import another_network, find, load_into, load_state_dict
 from skymoor.errors import InputError
@@ -47,7 +48,7 @@ class RomaMatcher:
 
     weights: str = ""
     dinov2: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     coarse_px: int = 560
     upsample_px: int = 864
     pairs_at_once: int = 0
@@ -117,7 +118,7 @@ class TinyRomaMatcher:
     """
 
     weights: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     side_px: int = 640
 
     def __post_init__(self) -> None:

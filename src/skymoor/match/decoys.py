@@ -8,10 +8,11 @@ parts have been mixed up. They are searched as the true one was, over the same h
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from skymoor.engines.options import FIXED
 from skymoor.match.search import SearchOptions, Sized, search_in
 from skymoor.types import Progress, Raster, no_progress
 
@@ -30,8 +31,8 @@ class DecoyOptions:
     """
 
     count: int = 4
-    parts: int = 4
-    keep: int = 4
+    parts: int = field(default=4, metadata=FIXED)
+    keep: int = field(default=4, metadata=FIXED)
 
 
 def decoy_scores(

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from skymoor.engines.options import FIXED
 from skymoor.match.channels import ChannelOptions, Channels, make_channels, rotate_angles
 from skymoor.match.correlate import Target, correlate, peaks
 from skymoor.match.pyramid import Pyramid
@@ -59,9 +60,9 @@ class SearchOptions:
     reference_px: int = 512
     min_overlap: float = 0.4
     keep: int = 12
-    keep_ratio: float = 0.6
-    fine_px: int = 500
-    channels: ChannelOptions = field(default_factory=ChannelOptions)
+    keep_ratio: float = field(default=0.6, metadata=FIXED)
+    fine_px: int = field(default=500, metadata=FIXED)
+    channels: ChannelOptions = field(default_factory=ChannelOptions, metadata=FIXED)
 
 
 def search_placements(

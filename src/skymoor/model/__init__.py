@@ -5,7 +5,7 @@ from skymoor.model.blend import BlendOptions
 from skymoor.model.mesh.mesh import MeshBuilder, MeshModel
 from skymoor.model.nerf.builder import NerfBuilder
 from skymoor.model.protocol import SceneBuilder, SceneModel
-from skymoor.model.views import RenderOptions, nadir_view, oblique_views, tiles
+from skymoor.model.views import RenderOptions, nadir_view, oblique_views, render_nadir, render_obliques, tiles
 
 __all__ = [
     "BlendOptions",
@@ -17,5 +17,7 @@ __all__ = [
     "SceneModel",
     "nadir_view",
     "oblique_views",
+    "render_nadir",
+    "render_obliques",
     "tiles",
 ]

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skymoor.types import Array, View
+from skymoor.model.protocol import SceneModel
+from skymoor.types import Array, Progress, Render, View, no_progress
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 
@@ -52,6 +53,25 @@ def oblique_views(surface_points: Array, pixel: float, options: RenderOptions | 
     options = options or RenderOptions()
     azimuths = np.arange(options.obliques) * 360 / options.obliques
     return [_covering(_looking(a, options.depression_deg), surface_points, pixel, options) for a in azimuths]
+
+
+def render_nadir(
+    model: SceneModel, options: RenderOptions | None = None, *, progress: Progress = no_progress
+) -> Render:
+    """The model from straight above."""
+    return model.render(nadir_view(model.surface_points, model.pixel, options), progress=progress)
+
+
+def render_obliques(
+    model: SceneModel, options: RenderOptions | None = None, *, progress: Progress = no_progress
+) -> list[Render]:
+    """The model from all sides; see `oblique_views`."""
+    found = []
+    views = oblique_views(model.surface_points, model.pixel, options)
+    for view in views:
+        found.append(model.render(view, progress=no_progress))
+        progress(len(found), len(views))
+    return found
 
 
 def tiles(shape: tuple[int, int], *, size: int = 300, overlap: float = 0.25) -> list[tuple[slice, slice]]:

@@ -3,7 +3,6 @@
 
 from skymoor.orient._oneformer import OneFormerLabeler
 from skymoor.orient._semantic import SemanticLabeler
-from skymoor.orient.engines import LabelOptions
 from skymoor.orient.gravity import OrientOptions, estimate_gravity, level_from_gravity
 from skymoor.orient.labels import ground_points
 from skymoor.orient.protocol import GroundLabeler
@@ -11,7 +10,6 @@ from skymoor.orient.upright import UprightOptions, estimate_ground_gravity
 
 __all__ = [
     "GroundLabeler",
-    "LabelOptions",
     "OneFormerLabeler",
     "OrientOptions",
     "SemanticLabeler",

@@ -6,12 +6,13 @@ Jain et al., OneFormer: One Transformer to Rule Universal Image Segmentation, CV
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.options import FIXED
 from skymoor.engines.weights import find
 from skymoor.engines.weights.repository import describes, open_model, reading
 from skymoor.errors import InputError
@@ -32,7 +33,7 @@ class OneFormerLabeler:
     """
 
     weights: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     side_px: int = 1024
 
     def ready(self) -> tuple[Path, ...]:

@@ -7,12 +7,13 @@ The weights that `skymoor weights fetch upernet-tiny` gets are UperNet's (Xiao e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.options import FIXED
 from skymoor.engines.weights import find
 from skymoor.engines.weights.repository import open_model, reading
 from skymoor.orient._classes import ground_mask
@@ -32,7 +33,7 @@ class SemanticLabeler:
     """
 
     weights: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     side_px: int = 1024
 
     def ready(self) -> tuple[Path, ...]:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from skymoor.pipeline.options import Options
-from skymoor.reconstruct import ReconstructOptions
 
 Size = tuple[int, int]
 
@@ -34,23 +33,25 @@ class Step:
     mib: float
 
 
-def plan(airborne: Sequence[Size], ground: Sequence[Sequence[Size]], grid_px: int, options: Options) -> list[Step]:
+def estimate_run(
+    airborne: Sequence[Size], ground: Sequence[Sequence[Size]], grid_px: int, options: Options
+) -> list[Step]:
     """The steps of a run on photos of these sizes (width, height), with a reference of `grid_px` pixels."""
     n, match = len(airborne), options.match
     depths = _depth_mib(airborne)
-    dense = DENSE_S.get(match.dense.kind, 2.0)
+    dense = DENSE_S.get(match.matcher, 2.0)
     model = options.model.nerf.budget_s or 900.0 if options.model.kind == "nerf" else 0.2 * n
     scales = np.log(match.max_height_m / match.min_height_m) / np.log(10.0)
     search, searched = 25.0 * scales, LIBRARIES_MIB + depths + 60 * grid_px / 2**20
     steps = [
         Step("photos", f"check {n} airborne photos", *_check(airborne)),
         Step("reference", f"read orthophoto and DSM, {grid_px / 1e6:.1f} million pixels", 2 + 2e-7 * grid_px, 700),
-        Step("reconstruct", f"{n} photos by {_matcher(options.reconstruct)}", *_mapping(airborne, options, "air")),
-        Step("depths", f"depth maps by {options.densify.kind}; what photos say of each other", 0.7 * n, depths + 600),
+        Step("reconstruct", f"{n} photos by {options.reconstruct.matcher}", *_mapping(airborne, options, "air")),
+        Step("depths", f"depth maps by {options.densify.method}; what photos say of each other", 0.7 * n, depths + 600),
         Step("model", f"{options.model.kind} and its view from above", model + 0.3 * n, 2 * depths + 600),
         Step("search", "every heading, scale and place in the orthophoto", search, searched),
-        Step("decoys", "the same for pictures that lie nowhere", 3 * search, searched),
-        Step("register", f"match by {match.dense.kind}, place, judge", 5 + 2 * match.candidates * dense, searched),
+        Step("decoys", "the same for decoys", 3 * search, searched),
+        Step("register", f"match by {match.matcher}, place, judge", 5 + 2 * match.candidates * dense, searched),
     ]
     for k, photos in enumerate(ground):
         steps += _ground(f"ground{k}", photos, options)
@@ -61,17 +62,13 @@ def _ground(name: str, photos: Sequence[Size], options: Options) -> list[Step]:
     n, ground = len(photos), options.ground
     depths = _depth_mib(photos)
     pairs = {"walls": 0, "cascade": 10 * n, "exhaustive": 400 * n}[ground.method]
-    seconds = 60 + 8 * n + pairs * 2 * DENSE_S.get(ground.matcher.kind, 2.0)
+    seconds = 60 + 8 * n + pairs * 2 * DENSE_S.get(ground.matcher, 2.0)
     return [
         Step(f"{name}.photos", f"check {n} ground photos", *_check(photos)),
         Step(f"{name}.reconstruct", f"{n} photos, lenses, look-alikes", *_mapping(photos, options, "ground")),
-        Step(f"{name}.depths", f"depth maps by {ground.densify.kind}", 0.7 * n, depths + 600),
+        Step(f"{name}.depths", f"depth maps by {ground.densify}", 0.7 * n, depths + 600),
         Step(f"{name}.search", f"every component by {ground.method}", seconds, depths + 1200),
     ]
-
-
-def _matcher(options: ReconstructOptions) -> str:
-    return getattr(options.matcher, "kind", type(options.matcher).__name__)
 
 
 def _check(photos: Sequence[Size]) -> tuple[float, float]:
@@ -80,7 +77,7 @@ def _check(photos: Sequence[Size]) -> tuple[float, float]:
 
 
 def _mapping(photos: Sequence[Size], options: Options, kind: str) -> tuple[float, float]:
-    matcher = _matcher(options.reconstruct if kind == "air" else options.ground.reconstruct)
+    matcher = (options.reconstruct if kind == "air" else options.ground.reconstruct).matcher
     n = len(photos)
     pairs = n * (n - 1) / 2 if n <= 40 else PARTNERS * n
     megapixels = float(np.mean([min(w * h, 3_000_000) / 1e6 for w, h in photos])) if n else 0.0

@@ -41,7 +41,7 @@ LOG = logging.getLogger("skymoor")
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What one set of photos is placed with. The stages `photos_stage` and "reference" must have run in `store`.
+    """What one set of photos is registered with.
 
     `track` gives the progress callback of a stage, by its name.
     """
@@ -53,7 +53,6 @@ class Job:
     seed: int
     track: Callable[[str], Progress]
     name: str = "airborne"
-    photos_stage: str = "photos"
 
 
 @dataclass(frozen=True)

@@ -7,15 +7,21 @@ import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import Field, fields, is_dataclass, replace
 from difflib import get_close_matches
+from os import PathLike
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
+from skymoor.engines.options import is_fixed
 from skymoor.errors import InputError
 
 T = TypeVar("T")
+
+MOST_NAMES = 20  # in a message
 
 
 def with_options(config: T, options: Mapping[str, object], source: str = "options") -> T:
@@ -32,13 +38,24 @@ def with_options(config: T, options: Mapping[str, object], source: str = "option
 
 
 def option_names(config: object, prefix: str = "") -> Iterator[str]:
-    """Dotted names of all leaves of a dataclass tree, in the order of their definition."""
-    for item in fields(config):  # type: ignore[arg-type]
+    """Dotted names of all options of a dataclass tree, in the order of their definition."""
+    for item in option_fields(config):
         value = getattr(config, item.name)
         if is_dataclass(value):
             yield from option_names(value, f"{prefix}{item.name}.")
         else:
             yield f"{prefix}{item.name}"
+
+
+def option_fields(config: object) -> list[Field[Any]]:
+    """The fields of a dataclass, or of its type, that users may set."""
+    return [item for item in fields(config) if not is_fixed(item)]  # type: ignore[arg-type]
+
+
+def option_values(config: object) -> dict[str, object]:
+    """All options with their values, nested as they are named."""
+    values = {item.name: getattr(config, item.name) for item in option_fields(config)}
+    return {name: option_values(value) if is_dataclass(value) else value for name, value in values.items()}
 
 
 def parse_option(text: str) -> tuple[str, object]:
@@ -61,13 +78,18 @@ def parse_option(text: str) -> tuple[str, object]:
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
-    """The end of a message about an unknown name: what is close to it, or what there is."""
+    """The end of a message about an unknown name: what is close to it, or what there is, if that is not too much."""
     close = get_close_matches(name, known, n=3, cutoff=0.5)
     if not close:  # the right name in the wrong group
         close = [other for other in known if other.rpartition(".")[2] == name.rpartition(".")[2]]
     if close:
         return "did you mean " + " or ".join(close) + "?"
-    return "known: " + ", ".join(known)
+    group = name.rpartition(".")[0]
+    inside = [other for other in known if group and other.startswith(f"{group}.")]
+    there = inside if 0 < len(inside) <= MOST_NAMES else list(known)
+    if len(there) > MOST_NAMES:
+        there = [f"{group}.*" for group in dict.fromkeys(other.partition(".")[0] for other in there)]
+    return "known: " + ", ".join(there)
 
 
 def _flat(options: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
@@ -88,7 +110,7 @@ def _applied(config: T, prefix: str, values: Mapping[str, object], known: Sequen
     changes: dict[str, object] = {}
     for head, group in groups.items():
         name = prefix + head
-        if head not in {item.name for item in fields(config)}:  # type: ignore[arg-type]
+        if head not in {item.name for item in option_fields(config)}:
             unknown = ".".join(filter(None, (name, next(iter(group)))))
             raise InputError(f"{source}: there is no option {unknown}; {nearest(unknown, known)}")
         child = getattr(config, head)
@@ -99,7 +121,7 @@ def _applied(config: T, prefix: str, values: Mapping[str, object], known: Sequen
             changes[head] = _checked(group[""], hints[head], f"{source}: option {name} = {group['']!r}")
         elif "" in group:
             inside = [other for other in known if other.startswith(f"{name}.")]
-            raise InputError(f"{source}: {name} is a group of options, set one of {', '.join(inside)}")
+            raise InputError(f"{source}: {name} is a group of options, set one of {', '.join(inside[:MOST_NAMES])}")
         else:
             changes[head] = _applied(child, f"{name}.", group, known, source)
     try:
@@ -110,10 +132,15 @@ def _applied(config: T, prefix: str, values: Mapping[str, object], known: Sequen
 
 def _checked(value: object, annotation: Any, where: str) -> object:
     """`value` as the annotated type, or `InputError`."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, PathLike) and annotation is str:
+        value = str(value)
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin in (Union, UnionType):
         return _checked_union(value, arguments, where)
     if origin is Literal:
+        value = "none" if value is None else value
         if value not in arguments or isinstance(value, bool) != any(value is choice for choice in (True, False)):
             raise InputError(f"{where} must be one of {', '.join(map(repr, arguments))}")
         return value

@@ -1,52 +1,88 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every option of every stage, by its dotted name: each stage owns its own, here they meet."""
+"""Every option by its dotted name. What no user can sensibly set is a constant where it is used, with its source."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from skymoor.densify import AgreementOptions, MetricDepthOptions, MonocularDepth, RelativeDepthOptions, StereoOptions
-from skymoor.engines.choice import files_of
-from skymoor.ground import JointOptions
-from skymoor.ground.tiles import CascadeOptions, ConsensusOptions
+from skymoor.engines.options import files_of
+from skymoor.ground.tiles import CascadeOptions
 from skymoor.ground.walls import GroundOptions
-from skymoor.match import CyclicOptions, DecoyOptions, MatcherOptions, RetrieverOptions, SearchOptions
+from skymoor.match import CyclicOptions, DecoyOptions, DenseMatcher, SearchOptions
 from skymoor.model import MeshBuilder, NerfBuilder, RenderOptions, SceneBuilder
-from skymoor.orient import LabelOptions, OrientOptions, UprightOptions
-from skymoor.reconstruct import (
-    AlikedPairMatcher,
-    ColmapAlikedMatcher,
-    DedodeRomaMatcher,
-    PairFilterOptions,
-    PairMatcherOptions,
-    ReconstructOptions,
-    SiftMatcher,
-    ground_options,
+from skymoor.pipeline.engines import (
+    DenseMatcherName,
+    Engines,
+    LabelerName,
+    MetricDepthName,
+    PairFilterName,
+    PairMatcherName,
+    RelativeDepthName,
+    RetrieverName,
+    StereoName,
 )
+from skymoor.reconstruct import ReconstructOptions
 from skymoor.registration import LiftOptions, RegisterOptions, ReliefOptions
 
 
 @dataclass(frozen=True)
-class MatchOptions:
-    """From the nadir render to pixels of the reference.
+class ReconstructChoices:
+    """How photos become components.
 
     Attributes:
-        min_height_m, max_height_m: flying heights that are searched: the scale of a levelled model.
-        candidates: placements that are matched densely; the one with most independent inliers is believed.
-        min_height_confidence: heights of the render below it are neither matched nor compared nor written.
-        search, decoys, dense, cyclic: of the steps.
+        matcher: "sift" needs no weights; "aliked" is a learned one for CPUs; "dedode_roma" is the paper's, for GPUs;
+            "colmap_aliked" is COLMAP's own, for builds of it with ONNX.
+        pair_filter: "none" keeps all pairs; "conflicts" compares what cameras ought to share in a first reconstruction;
+            "doppelgangers" is the paper's network.
+        exhaustive_below: sets of fewer photos are matched all with all.
+        min_cameras: smaller components are dropped; the paper keeps those of nine.
+        refine_principal_point: at the end, where the photos share one camera and fix its focal length.
+        mixed_lenses: photos of one size may come from several cameras, and which photos share one is found out.
     """
 
-    min_height_m: float = 20.0
-    max_height_m: float = 200.0
-    candidates: int = 3
-    min_height_confidence: float = 0.2
-    search: SearchOptions = field(default_factory=SearchOptions)
-    decoys: DecoyOptions = field(default_factory=DecoyOptions)
-    dense: MatcherOptions = field(default_factory=MatcherOptions)
-    cyclic: CyclicOptions = field(default_factory=CyclicOptions)
+    matcher: PairMatcherName = "sift"
+    pair_filter: PairFilterName = "none"
+    exhaustive_below: int = 40
+    min_cameras: int = 3
+    refine_principal_point: bool = True
+    mixed_lenses: bool = False
+
+    def stage_options(self, engines: Engines, *, shared_camera: bool) -> ReconstructOptions:
+        """The same with the engines themselves."""
+        return ReconstructOptions(
+            matcher=engines.pair_matcher(
+                self.matcher, shared_camera=shared_camera, exhaustive_below=self.exhaustive_below
+            ),
+            min_cameras=self.min_cameras,
+            refine_principal_point=self.refine_principal_point,
+            mixed_lenses=self.mixed_lenses,
+            pair_filter=engines.pair_filter(self.pair_filter),
+        )
+
+
+@dataclass(frozen=True)
+class OrientChoices:
+    """How up is found.
+
+    Attributes:
+        labels: which network says where the ground is: "none" leaves it to geometry, "oneformer" is the paper's,
+            "semantic" a lighter one.
+    """
+
+    labels: LabelerName = "none"
+
+
+@dataclass(frozen=True)
+class DensifyChoices:
+    """How depth is measured.
+
+    Attributes:
+        method: "sgm" runs on a CPU; "patchmatch", the paper's, needs a COLMAP with CUDA.
+    """
+
+    method: StereoName = "sgm"
 
 
 @dataclass(frozen=True)
@@ -56,105 +92,93 @@ class ModelOptions:
     Attributes:
         kind: "mesh" for fused depth maps, which takes seconds; "nerf" for the radiance field, which takes minutes, is
             closer to the surface and knows better where it is not.
-        monocular: whose depths of single photos rank the depths of the radiance field, where photos measure none.
+        ranking: whose depths of single photos rank the depths of the radiance field, where photos measure none:
+            "marigold" is the paper's, "depth_anything" is lighter.
         nerf, mesh: how each is set up.
     """
 
     kind: Literal["mesh", "nerf"] = "mesh"
-    monocular: RelativeDepthOptions = field(default_factory=RelativeDepthOptions)
+    ranking: RelativeDepthName = "none"
     nerf: NerfBuilder = field(default_factory=NerfBuilder)
     mesh: MeshBuilder = field(default_factory=MeshBuilder)
 
-    @property
-    def builder(self) -> SceneBuilder:
+    def builder(self, engines: Engines) -> SceneBuilder:
         """The chosen one."""
-        return self.nerf if self.kind == "nerf" else self.mesh
-
-    @property
-    def ranking(self) -> MonocularDepth | None:
-        """What ranks depths; None where nothing does."""
-        chosen: MonocularDepth | None = self.monocular.engine
-        return chosen if self.kind == "nerf" else None
-
-
-def _pair_matcher(*, shared_camera: bool, exhaustive_below: int) -> PairMatcherOptions:
-    """All matchers of photos, for photos of one camera or of several. Those of the paper are DeDoDe and RoMa."""
-    common: dict[str, Any] = {"shared_camera": shared_camera, "exhaustive_below": exhaustive_below}
-    return PairMatcherOptions(
-        sift=SiftMatcher(**common),
-        aliked=AlikedPairMatcher(**common),
-        dedode_roma=DedodeRomaMatcher(MatcherOptions(kind="roma"), **common),
-        colmap_aliked=ColmapAlikedMatcher(**common),
-    )
-
-
-def _reconstruct() -> ReconstructOptions:
-    matcher = _pair_matcher(shared_camera=True, exhaustive_below=40)
-    return ReconstructOptions(matcher, pair_filter=PairFilterOptions())
-
-
-def _reconstruct_ground() -> ReconstructOptions:
-    matcher = _pair_matcher(shared_camera=False, exhaustive_below=60)
-    return replace(ground_options(), matcher=matcher, pair_filter=PairFilterOptions(kind="conflicts"))
-
-
-def _cascade() -> CascadeOptions:
-    return CascadeOptions(retriever=RetrieverOptions())
+        return replace(self.nerf, device=engines.device) if self.kind == "nerf" else self.mesh
 
 
 @dataclass(frozen=True)
-class GroundSetOptions:
+class MatchOptions:
+    """From the nadir render to pixels of the reference.
+
+    Attributes:
+        min_height_m, max_height_m: flying heights that are searched: the scale of a levelled model.
+        candidates: hypotheses that are matched densely; the one with most independent inliers is taken.
+        min_height_confidence: heights of the render below it are neither matched nor compared nor written.
+        matcher: "structural" needs no weights; the others do, and libraries.
+        search, decoys, cyclic: of the steps.
+    """
+
+    min_height_m: float = 20.0
+    max_height_m: float = 200.0
+    candidates: int = 3
+    min_height_confidence: float = 0.2
+    matcher: DenseMatcherName = "structural"
+    search: SearchOptions = field(default_factory=SearchOptions)
+    decoys: DecoyOptions = field(default_factory=DecoyOptions)
+    cyclic: CyclicOptions = field(default_factory=CyclicOptions)
+
+
+def _of_ground() -> ReconstructChoices:
+    return ReconstructChoices(pair_filter="conflicts", exhaustive_below=60, mixed_lenses=True)
+
+
+@dataclass(frozen=True)
+class GroundChoices:
     """From ground photos to the airborne model.
 
     Attributes:
-        reconstruct, densify: as for the airborne set, for photos of several lenses from nearby.
-        upright: how up is found.
+        method: how a component is registered. "walls" compares the walls of both models and needs no learned matcher;
+            "cascade" and "exhaustive" match the photos with tiles of the airborne model's renders by `matcher`, few of
+            the pairs or all as in the paper.
+        matcher, retriever: of "cascade" and "exhaustive"; "anyloc" is the paper's retriever.
         labels: which network says where the ground is; the cameras' height above it is the unit of the search.
         metric: which network says how many metres that is, so that less has to be searched.
-        method: how a component is laid on the airborne model. "walls" compares the walls of both models and needs no
-            learned matcher; "cascade" and "exhaustive" match the photos with tiles of the airborne model's renders by
-            `matcher`, few of the pairs or all as in the paper.
-        place: of "walls"; every component's cameras are heard with it.
-        matcher, cascade, exhaustive: of the other two.
-        joint: when components contradict each other.
+        densify: dense stereo of ground photos.
+        reconstruct: as for the airborne set, for photos of several lenses from nearby.
+        walls, cascade: of the methods.
     """
 
     method: Literal["walls", "cascade", "exhaustive"] = "walls"
-    reconstruct: ReconstructOptions = field(default_factory=_reconstruct_ground)
-    densify: StereoOptions = field(default_factory=StereoOptions)
-    upright: UprightOptions = field(default_factory=UprightOptions)
-    labels: LabelOptions = field(default_factory=LabelOptions)
-    metric: MetricDepthOptions = field(default_factory=MetricDepthOptions)
-    place: GroundOptions = field(default_factory=GroundOptions)
-    matcher: MatcherOptions = field(default_factory=MatcherOptions)
-    cascade: CascadeOptions = field(default_factory=_cascade)
-    exhaustive: ConsensusOptions = field(default_factory=ConsensusOptions)
-    joint: JointOptions = field(default_factory=JointOptions)
+    matcher: DenseMatcherName = "structural"
+    retriever: RetrieverName = "channels"
+    labels: LabelerName = "none"
+    metric: MetricDepthName = "none"
+    densify: StereoName = "sgm"
+    reconstruct: ReconstructChoices = field(default_factory=_of_ground)
+    walls: GroundOptions = field(default_factory=GroundOptions)
+    cascade: CascadeOptions = field(default_factory=CascadeOptions)
 
-    @property
-    def engines(self) -> tuple[object, ...]:
-        """All that a run with ground photos will call."""
-        tiles = () if self.method == "walls" else (self.matcher,)
-        retriever = (self.cascade.retriever,) if self.method == "cascade" else ()
-        return (self.reconstruct, self.densify, self.labels, self.metric, *tiles, *retriever)
+    def dense_matcher(self, engines: Engines) -> DenseMatcher | None:
+        """What matches photos with tiles; None for "walls"."""
+        return None if self.method == "walls" else engines.dense_matcher(self.matcher)
 
 
 @dataclass(frozen=True)
 class Options:
     """Every option of every stage, by its dotted name."""
 
-    reconstruct: ReconstructOptions = field(default_factory=_reconstruct)
-    orient: OrientOptions = field(default_factory=OrientOptions)
-    labels: LabelOptions = field(default_factory=LabelOptions)
-    densify: StereoOptions = field(default_factory=StereoOptions)
-    agreement: AgreementOptions = field(default_factory=AgreementOptions)
+    engines: Engines = field(default_factory=Engines)
+    reconstruct: ReconstructChoices = field(default_factory=ReconstructChoices)
+    orient: OrientChoices = field(default_factory=OrientChoices)
+    densify: DensifyChoices = field(default_factory=DensifyChoices)
     model: ModelOptions = field(default_factory=ModelOptions)
     render: RenderOptions = field(default_factory=RenderOptions)
     match: MatchOptions = field(default_factory=MatchOptions)
     lift: LiftOptions = field(default_factory=LiftOptions)
     register: RegisterOptions = field(default_factory=RegisterOptions)
     relief: ReliefOptions = field(default_factory=ReliefOptions)
-    ground: GroundSetOptions = field(default_factory=GroundSetOptions)
+    ground: GroundChoices = field(default_factory=GroundChoices)
 
 
 def check_engines(options: Options, *, ground: bool = True) -> tuple[Path, ...]:
@@ -166,5 +190,23 @@ def check_engines(options: Options, *, ground: bool = True) -> tuple[Path, ...]:
         BackendUnavailable: a library, weights or a device are missing.
         InputError: nothing is where weights are said to be.
     """
-    air = (options.reconstruct, options.labels, options.densify, options.model.ranking, options.match.dense)
-    return files_of(*air, *(options.ground.engines if ground else ()))
+    engines, model, chosen = options.engines, options.model, options.ground
+    air = (
+        options.reconstruct.stage_options(engines, shared_camera=True),
+        engines.labeler(options.orient.labels),
+        engines.stereo(options.densify.method),
+        model.builder(engines),
+        engines.relative_depth(model.ranking) if model.kind == "nerf" else None,
+        engines.dense_matcher(options.match.matcher),
+    )
+    if not ground:
+        return files_of(*air)
+    return files_of(
+        *air,
+        chosen.reconstruct.stage_options(engines, shared_camera=False),
+        engines.stereo(chosen.densify),
+        engines.labeler(chosen.labels),
+        engines.metric_scale(chosen.metric),
+        chosen.dense_matcher(engines),
+        engines.retriever(chosen.retriever) if chosen.method == "cascade" else None,
+    )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nadir render and reference as a matcher takes them, and one laid on the other."""
+"""The registered nadir render on the grid of the reference."""
 
 from __future__ import annotations
 
@@ -7,20 +7,9 @@ import cv2
 import numpy as np
 
 from skymoor.errors import DegenerateGeometry
-from skymoor.match import lay
+from skymoor.match.align import lay
+from skymoor.match.rasters import nadir_raster
 from skymoor.types import Array, Array32, Raster, Reference, Registration, Render
-
-
-def nadir_raster(render: Render, min_confidence: float) -> Raster:
-    """The render as a matcher takes it: heights only where they are believed."""
-    heights = render.xyz[..., 2] / np.float32(render.view.pixel)
-    believed = render.confidence >= min_confidence
-    return Raster(render.rgb, np.isfinite(heights), np.where(believed, heights, np.nan).astype(np.float32))
-
-
-def reference_raster(reference: Reference) -> Raster:
-    """The reference as a matcher takes it."""
-    return Raster(reference.rgb, reference.mask, (reference.height / reference.grid.pixel_m).astype(np.float32))
 
 
 def lay_on_reference(

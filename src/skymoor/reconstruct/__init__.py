@@ -9,7 +9,6 @@ from skymoor.reconstruct._doppelgangers import DoppelgangerClassifier
 from skymoor.reconstruct._sift import SiftMatcher
 from skymoor.reconstruct.calibration import with_focal
 from skymoor.reconstruct.doppelgangers import ConflictFilter
-from skymoor.reconstruct.engines import PairFilterOptions, PairMatcherOptions
 from skymoor.reconstruct.lenses import LensOptions
 from skymoor.reconstruct.mapping import ReconstructOptions, ground_options, reconstruct
 from skymoor.reconstruct.protocol import PairFilter, PairMatcher, ViewGraph
@@ -25,9 +24,7 @@ __all__ = [
     "KeypointDetector",
     "LensOptions",
     "PairFilter",
-    "PairFilterOptions",
     "PairMatcher",
-    "PairMatcherOptions",
     "ReconstructOptions",
     "SiftMatcher",
     "ViewGraph",

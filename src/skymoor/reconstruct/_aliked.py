@@ -18,6 +18,7 @@ import numpy as np
 
 from skymoor.engines.aliked import AlikedFeatures
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.options import FIXED
 from skymoor.engines.weights import find, load_into
 from skymoor.errors import InputError
 from skymoor.reconstruct.database import Matched, coarsest_px, enter_photos, write_verified
@@ -51,12 +52,12 @@ class AlikedPairMatcher:
     features: AlikedFeatures = field(default_factory=AlikedFeatures)
     join: Literal["nearest", "lightglue"] = "nearest"
     lightglue: str = ""
-    max_ratio: float = 0.95
-    min_confidence: float = 0.1
-    shared_camera: bool = True
-    exhaustive_below: int = 40
-    neighbours: int = 20
-    min_matches: int = 15
+    max_ratio: float = field(default=0.95, metadata=FIXED)
+    min_confidence: float = field(default=0.1, metadata=FIXED)
+    shared_camera: bool = field(default=True, metadata=FIXED)
+    exhaustive_below: int = field(default=40, metadata=FIXED)
+    neighbours: int = field(default=20, metadata=FIXED)
+    min_matches: int = field(default=15, metadata=FIXED)
 
     def __post_init__(self) -> None:
         if not 0 < self.max_ratio <= 1 or not 0 <= self.min_confidence <= 1:

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import pycolmap
 
+from skymoor.engines.options import FIXED
 from skymoor.engines.weights import find
 from skymoor.errors import BackendUnavailable
 from skymoor.reconstruct.database import enter_photos, extract, likely_pairs, match, threads, write_photos
@@ -36,10 +37,10 @@ class ColmapAlikedMatcher:
     join: Literal["nearest", "lightglue"] = "lightglue"
     max_features: int = 4096
     max_image_px: int = 1600
-    shared_camera: bool = True
-    exhaustive_below: int = 40
-    neighbours: int = 20
-    block_pairs: int = 64
+    shared_camera: bool = field(default=True, metadata=FIXED)
+    exhaustive_below: int = field(default=40, metadata=FIXED)
+    neighbours: int = field(default=20, metadata=FIXED)
+    block_pairs: int = field(default=64, metadata=FIXED)
 
     def ready(self) -> tuple[Path, ...]:
         """The files that will be read.

@@ -6,7 +6,7 @@ Edstedt et al., DeDoDe: Detect, Don't Describe - Describe, Don't Detect for Loca
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.options import FIXED
 from skymoor.engines.tensors import as_tensor, fitted
 from skymoor.engines.weights import find, load_into
 from skymoor.errors import InputError
@@ -32,7 +33,7 @@ class DedodeDetector:
     """
 
     weights: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     max_keypoints: int = 8192
     side_px: int = 1600
 

@@ -19,7 +19,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from skymoor.engines.batches import match_many
-from skymoor.engines.choice import files_of
+from skymoor.engines.options import FIXED, files_of
 from skymoor.engines.tensors import fitted
 from skymoor.reconstruct._dedode import DedodeDetector
 from skymoor.reconstruct.database import Matched, coarsest_px, enter_photos, likely_pairs, write_verified
@@ -60,12 +60,12 @@ class DedodeRomaMatcher:
     dense: DenseWarp
     detector: KeypointDetector = field(default_factory=DedodeDetector)
     side_px: int = 1120
-    max_distance_px: float = 2.0
-    min_confidence: float = 0.2
-    shared_camera: bool = True
-    exhaustive_below: int = 40
-    neighbours: int = 20
-    min_matches: int = 15
+    max_distance_px: float = field(default=2.0, metadata=FIXED)
+    min_confidence: float = field(default=0.2, metadata=FIXED)
+    shared_camera: bool = field(default=True, metadata=FIXED)
+    exhaustive_below: int = field(default=40, metadata=FIXED)
+    neighbours: int = field(default=20, metadata=FIXED)
+    min_matches: int = field(default=15, metadata=FIXED)
 
     def ready(self) -> tuple[Path, ...]:
         """The files that both engines will read. Raises what they raise."""

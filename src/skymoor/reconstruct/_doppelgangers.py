@@ -6,7 +6,7 @@ Cai et al., Doppelgangers: Learning to Disambiguate Images of Similar Structures
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from skymoor.engines.libraries import torch_device
+from skymoor.engines.options import FIXED
 from skymoor.engines.weights import find, load_into, load_state_dict
 from skymoor.errors import InputError
 from skymoor.reconstruct.protocol import PairFilter, ViewGraph
@@ -43,7 +44,7 @@ class DoppelgangerClassifier:
     """
 
     weights: str = ""
-    device: str = "auto"
+    device: str = field(default="auto", metadata=FIXED)
     min_probability: float = 0.8
     side_px: int = 1024
 

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 
+from skymoor.engines.options import FIXED
 from skymoor.reconstruct.database import enter_photos, extract, match, stored, threads, write_photos
 from skymoor.reconstruct.pairs import exhaustive_pairs, preemptive_pairs
 from skymoor.reconstruct.protocol import PairMatcher, colmap_name
@@ -31,11 +32,11 @@ class SiftMatcher:
 
     max_features: int = 4096
     max_image_px: int = 1600
-    shared_camera: bool = True
-    exhaustive_below: int = 40
-    neighbours: int = 20
-    retrieval_features: int = 512
-    block_pairs: int = 64
+    shared_camera: bool = field(default=True, metadata=FIXED)
+    exhaustive_below: int = field(default=40, metadata=FIXED)
+    neighbours: int = field(default=20, metadata=FIXED)
+    retrieval_features: int = field(default=512, metadata=FIXED)
+    block_pairs: int = field(default=64, metadata=FIXED)
 
     def __call__(self, photos: Photos, database: Path, folder: Path, *, seed: int, progress: Progress) -> None:
         """Fill `database`; see `PairMatcher`."""

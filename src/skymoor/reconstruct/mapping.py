@@ -13,8 +13,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pycolmap
 
-from skymoor.engines.choice import files_of
 from skymoor.engines.colmap import component_from_colmap, mean_colours
+from skymoor.engines.options import files_of
 from skymoor.errors import InputError
 from skymoor.reconstruct._sift import SiftMatcher
 from skymoor.reconstruct.calibration import adjust, calibrate

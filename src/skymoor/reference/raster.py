@@ -34,6 +34,18 @@ GDAL_CACHE_MB = 256
 LARGEST_BLOCK_BYTES = 512e6
 
 
+def raster_files(*paths: Path) -> list[Path]:
+    """All files that rasters consist of: themselves, world files and masks beside them, and the sources of a VRT."""
+    found: list[Path] = []
+    for path in paths:
+        try:
+            with opened(path) as source:
+                found += [Path(name) for name in source.files]
+        except InputError:  # whoever reads it says what is wrong
+            found.append(path)
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class MapRaster:
     """Where a raster lies. Pixels (n, 2): u along columns, v along rows, first pixel centre at (0.5, 0.5).

@@ -8,11 +8,12 @@ reference's own smoothness does not pass for flatness, and compared over the com
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
+from skymoor.engines.options import FIXED
 from skymoor.types import Array, Array32, Calibration
 
 
@@ -26,8 +27,8 @@ class ReliefOptions:
         significance: standard deviations by which the correction must differ from none.
     """
 
-    blur_m: float = 1.0
-    systematic_ratio: float = 0.025
+    blur_m: float = field(default=1.0, metadata=FIXED)
+    systematic_ratio: float = field(default=0.025, metadata=FIXED)
     significance: float = 1.0
 
 

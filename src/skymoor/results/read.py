@@ -165,3 +165,12 @@ def _component(set_name: str, summary: dict[str, Any]) -> PlacedComponent:
         le90_m=summary.get("predicted_le90_m"),
         summary=summary,
     )
+
+
+def read(folder: Path | str) -> Result:
+    """Load the folder of a finished run: JSON and CSV only.
+
+    Raises:
+        InputError: there is none, or it is damaged.
+    """
+    return Result.read(Path(folder))

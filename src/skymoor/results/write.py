@@ -16,6 +16,7 @@ from skymoor.errors import DegenerateGeometry
 from skymoor.geo import ce90_m, le90_m
 from skymoor.geometry import Similarity
 from skymoor.pipeline.job import Placed
+from skymoor.pipeline.option_parser import option_values
 from skymoor.pipeline.options import MatchOptions, Options
 from skymoor.pipeline.overlay import lay_on_reference
 from skymoor.pipeline.site import Site
@@ -104,7 +105,7 @@ def write_products(
         "skymoor": __version__,
         "site": site.name,
         "seed": seed,
-        "options": options,
+        "options": option_values(options),
         "reference": {
             "ortho": site.reference.ortho.resolve(),
             "dsm": site.reference.dsm.resolve(),

@@ -2,9 +2,11 @@
 """The disk: the run directory with its cache and products, folders of photos, tables. No other module knows files."""
 
 from skymoor.store._atomic import atomic_folder
-from skymoor.store._digest import code_fingerprint, digest
-from skymoor.store._photos import check_photos, has_metadata, name_prefix, open_photos, photos_fingerprint
-from skymoor.store._run import PRODUCTS, StageRecord, Store, plain
+from skymoor.store._closure import import_closure
+from skymoor.store._digest import digest
+from skymoor.store._photos import check_photos, has_metadata, name_prefix, open_photos
+from skymoor.store._plain import plain
+from skymoor.store._run import PRODUCTS, StageRecord, Store, is_run
 
 __all__ = [
     "PRODUCTS",
@@ -12,11 +14,11 @@ __all__ = [
     "Store",
     "atomic_folder",
     "check_photos",
-    "code_fingerprint",
     "digest",
     "has_metadata",
+    "import_closure",
+    "is_run",
     "name_prefix",
     "open_photos",
-    "photos_fingerprint",
     "plain",
 ]

@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One stage's result in one file: a magic, a checksum of the rest, and the pickle of (record, value)."""
+"""One stage's result in one file: an npz of its arrays and of a JSON text that says what they are."""
 
 from __future__ import annotations
 
-import hashlib
-import pickle
+import json
+import zipfile
+import zlib
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
+
+import numpy as np
 
 from skymoor.store._atomic import atomic_file
+from skymoor.store._codec import decode, encode
 
-MAGIC = b"skymoor1"
-HEADER_BYTES = len(MAGIC) + hashlib.sha256().digest_size
+TREE = "tree"
+"""Name of the JSON text among the arrays, which are called 0, 1, 2 ..."""
 
 
 class Corrupt(Exception):
@@ -19,40 +23,30 @@ class Corrupt(Exception):
 
 
 def write_cache(file: Path, record: object, value: object) -> None:
-    """Write atomically. The pickle streams to the disk, so that large results are not held twice."""
+    """Write atomically, one array at a time, so that large results are not held twice.
+
+    Raises `TypeError` for a value that cannot be kept, see `encode`.
+    """
+    tree, arrays = encode([record, value])
+    text = np.frombuffer(json.dumps(tree, allow_nan=False).encode(), np.uint8)
     with atomic_file(file) as out:
-        out.write(bytes(HEADER_BYTES))
-        pickle.dump((record, value), out, protocol=5)
-        checksum = _checksum(out)
-        out.seek(0)
-        out.write(MAGIC + checksum)
+        np.savez(out, **{TREE: text}, **{str(k): array for k, array in enumerate(arrays)})  # type: ignore[arg-type]
 
 
 def read_cache(file: Path) -> tuple[Any, Any]:
     """(record, value). Raises `FileNotFoundError`, or `Corrupt` for anything that cannot be trusted.
 
-    A flipped bit in an array would unpickle without complaint, so the checksum comes first.
+    The archive has a checksum of each array, which is compared as it is read: a flipped bit does not pass.
     """
     try:
-        with file.open("rb") as stored:
-            header = stored.read(HEADER_BYTES)
-            if header != MAGIC + _checksum(stored):
-                raise Corrupt("the checksum does not fit")
-            stored.seek(HEADER_BYTES)
-            record, value = pickle.load(stored)
+        with np.load(file, allow_pickle=False) as stored:
+            tree = json.loads(stored[TREE].tobytes())
+            arrays = [stored[str(k)] for k in range(len(stored.files) - 1)]
+        record, value = decode(tree, arrays)
     except FileNotFoundError:
         raise
-    except (OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError, LookupError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, MemoryError, NotImplementedError) as error:
         raise Corrupt(str(error)) from error
-    except (TypeError, ValueError) as error:
+    except (AttributeError, ImportError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise Corrupt(str(error)) from error
     return record, value
-
-
-def _checksum(file: IO[bytes]) -> bytes:
-    """SHA-256 of everything behind the header."""
-    total = hashlib.sha256()
-    file.seek(HEADER_BYTES)
-    while block := file.read(1 << 20):
-        total.update(block)
-    return total.digest()

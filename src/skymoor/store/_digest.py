@@ -1,49 +1,66 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stable hashes of options and of source code, the same in every process and on every machine."""
+"""Stable hashes of values, the same in every process and on every machine."""
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from types import ModuleType
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from skymoor.store._codec import is_tensor, tensor_array
 
-def digest(value: object) -> str:
-    """SHA-256, in hexadecimal, of plain values, numpy arrays, paths, enums, dataclasses and containers of them.
+_KNOWN: WeakKeyDictionary[Any, str] = WeakKeyDictionary()
+"""Digests of dataclasses that compare by identity: large results are hashed once, though several stages take them."""
+
+
+def digest(value: object, of_file: Callable[[Path], str] | None = None) -> str:
+    """SHA-256, in hexadecimal, of plain values, arrays, paths, enums, dataclasses and containers of them.
 
     The type counts: 1, 1.0 and True differ, and so do two dataclasses with equal fields, since each may be another
-    engine. Raises `TypeError` for anything whose text is not stable, such as a function.
+    engine. An object with a method `cache_key` is what that returns, one with `to_state` is its state. `of_file` says
+    what a path stands for; by itself without it. Raises `TypeError` for anything whose text is not stable, such as a
+    function.
     """
-    return hashlib.sha256(_encoded(value)).hexdigest()
+    if _by_identity(value):
+        if value not in _KNOWN:
+            _KNOWN[value] = hashlib.sha256(_encoded(value, of_file)).hexdigest()
+        return _KNOWN[value]
+    return hashlib.sha256(_encoded(value, of_file)).hexdigest()
 
 
-def code_fingerprint(code: Sequence[ModuleType | str]) -> str:
-    """SHA-256 of the source text of modules, and of all modules below those that are packages."""
-    parts: list[tuple[str, str]] = []
-    for entry in code:
-        name = entry if isinstance(entry, str) else entry.__name__
-        spec = importlib.util.find_spec(name)
-        if spec is None or spec.origin is None:
-            raise ValueError(f"module {name} has no source")
-        origin = Path(spec.origin)
-        base = origin.parent
-        files = sorted(base.rglob("*.py")) if spec.submodule_search_locations else [origin]
-        parts += [
-            (f"{name}:{file.relative_to(base).as_posix()}", hashlib.sha256(file.read_bytes()).hexdigest())
-            for file in files
-        ]
-    return digest(sorted(parts))
+def parts_of(value: object) -> Iterator[object]:
+    """A value and all objects of our own in it, as the elements of lists and the fields of dataclasses."""
+    if isinstance(value, (list, tuple, AbstractSet)):
+        for item in value:
+            yield from parts_of(item)
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            yield from parts_of(item)
+    elif is_dataclass(value) and not isinstance(value, type):
+        yield value
+        for field in fields(value):
+            yield from parts_of(getattr(value, field.name))
+    elif hasattr(value, "to_state") or hasattr(value, "cache_key"):
+        yield value
 
 
-def _encoded(value: object) -> bytes:
+def _by_identity(value: object) -> bool:
+    return is_dataclass(value) and not isinstance(value, type) and type(value).__hash__ is object.__hash__
+
+
+def _encoded(value: object, of_file: Callable[[Path], str] | None) -> bytes:
     """A tag for the type, then the content; containers hold digests of fixed length, so nothing can run together."""
+
+    def inner(item: object) -> str:
+        return digest(item, of_file)
+
     if isinstance(value, Enum):
         return b"enum:" + f"{type(value).__qualname__}.{value.name}".encode()
     if value is None or isinstance(value, (bool, int, float, str)):
@@ -51,23 +68,33 @@ def _encoded(value: object) -> bytes:
     if isinstance(value, bytes):
         return b"bytes:" + value
     if isinstance(value, Path):
-        return b"path:" + value.as_posix().encode()
+        return b"path:" + (value.as_posix() if of_file is None else of_file(value)).encode()
     if isinstance(value, (np.ndarray, np.generic)):
         return _encoded_array(np.asarray(value))
+    if is_tensor(value):
+        return b"tensor:" + _encoded_array(tensor_array(value))
+    if isinstance(value, np.random.Generator):
+        return f"generator:{inner(value.bit_generator.state)}".encode()
+    kind = f"{type(value).__module__}.{type(value).__qualname__}"
+    if hasattr(value, "cache_key"):
+        return f"object:{kind}:{inner(value.cache_key())}".encode()
+    if hasattr(value, "to_state"):
+        return f"object:{kind}:{inner(value.to_state())}".encode()
     if is_dataclass(value) and not isinstance(value, type):
-        pairs = [(item.name, digest(getattr(value, item.name))) for item in fields(value)]
-        return f"dataclass:{type(value).__module__}.{type(value).__qualname__}:{pairs}".encode()
+        pairs = [(item.name, inner(getattr(value, item.name))) for item in fields(value)]
+        return f"dataclass:{kind}:{pairs}".encode()
     if isinstance(value, Mapping):
-        return f"mapping:{sorted((digest(key), digest(item)) for key, item in value.items())}".encode()
+        return f"mapping:{sorted((inner(key), inner(item)) for key, item in value.items())}".encode()
     if isinstance(value, AbstractSet):
-        return f"set:{sorted(digest(item) for item in value)}".encode()
+        return f"set:{sorted(inner(item) for item in value)}".encode()
     if isinstance(value, (list, tuple)):
-        return f"sequence:{[digest(item) for item in value]}".encode()
+        return f"sequence:{[inner(item) for item in value]}".encode()
     raise TypeError(f"{type(value).__qualname__} has no stable hash; give its settings instead")
 
 
 def _encoded_array(array: np.ndarray) -> bytes:
     if array.dtype.hasobject:
         raise TypeError("an array of objects has no stable hash")
-    little = array.astype(array.dtype.newbyteorder("<"), copy=False)
-    return f"array:{little.dtype.str}:{array.shape}:".encode() + np.ascontiguousarray(little).tobytes()
+    little = np.ascontiguousarray(array.astype(array.dtype.newbyteorder("<"), copy=False))
+    content = hashlib.sha256(little.data.cast("B") if little.size else b"").hexdigest()
+    return f"array:{little.dtype.str}:{array.shape}:{content}".encode()

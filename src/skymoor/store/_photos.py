@@ -48,7 +48,7 @@ def open_photos(folder: Path, root: Path, progress: Progress = no_progress) -> P
 
 def check_photos(folder: Path, progress: Progress = no_progress) -> tuple[tuple[int, int], ...]:
     """Decode every photo with two threads; sizes (width, height) in the order of the names. Errors as `open_photos`."""
-    files = _photo_files(folder)
+    files = photo_files(folder)
     sizes: list[tuple[int, int]] = []
     progress(0, len(files))
     with ThreadPoolExecutor(max_workers=2) as pool:
@@ -61,14 +61,17 @@ def check_photos(folder: Path, progress: Progress = no_progress) -> tuple[tuple[
     return tuple(sizes)
 
 
-def photos_from_sizes(folder: Path, root: Path, sizes: Sequence[tuple[int, int]]) -> Photos:
-    """Photos of a folder that `check_photos` has passed. Raises `InputError` if there are more or fewer by now."""
-    files = _photo_files(folder)
+def photos_from_sizes(folder: Path, root: Path, sizes: Sequence[tuple[int, int]], content: object = None) -> Photos:
+    """Photos of a folder that `check_photos` has passed. Raises `InputError` if there are more or fewer by now.
+
+    `content` stands for all their pixels in the keys of stages.
+    """
+    files = photo_files(folder)
     if len(files) != len(sizes):
         raise InputError(f"{folder}: photos came or went while they were read; start again when all are there")
     prefix = name_prefix(folder, root)
     names = tuple((prefix / file.name).as_posix() for file in files)
-    return Photos(names, tuple(sizes), _Reader(tuple(zip(names, files, strict=True))))
+    return Photos(names, tuple(sizes), _Reader(tuple(zip(names, files, strict=True))), content)
 
 
 def name_prefix(folder: Path, root: Path) -> Path:
@@ -77,14 +80,9 @@ def name_prefix(folder: Path, root: Path) -> Path:
     return inside.relative_to(root) if inside.is_relative_to(root) else Path(inside.name)
 
 
-def photos_fingerprint(folder: Path) -> tuple[tuple[str, int, int], ...]:
-    """Name, bytes and time of change (ns) of every photo: what a stage that reads them depends on."""
-    return tuple((file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in _photo_files(folder))
-
-
 def has_metadata(folder: Path) -> int:
     """How many photos carry an EXIF position or focal length, or XMP. Only the headers are read."""
-    return sum(_carries_metadata(file) for file in _photo_files(folder))
+    return sum(_carries_metadata(file) for file in photo_files(folder))
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,8 @@ class _Reader:
         return _decoded(dict(self.files)[name])
 
 
-def _photo_files(folder: Path) -> list[Path]:
+def photo_files(folder: Path) -> list[Path]:
+    """The files of the photos directly in a folder, by name; see `open_photos` for what is raised."""
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder of images")
     try:

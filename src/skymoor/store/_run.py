@@ -15,36 +15,40 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass, replace
-from enum import Enum
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
-from types import ModuleType, TracebackType
+from types import TracebackType
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from skymoor import __version__
 from skymoor.errors import InputError
 from skymoor.store._atomic import atomic_file, atomic_folder, disk_errors, remove_leftovers
 from skymoor.store._cache import Corrupt, read_cache, write_cache
-from skymoor.store._digest import code_fingerprint, digest
+from skymoor.store._closure import defining_modules, fingerprint
+from skymoor.store._digest import digest, parts_of
+from skymoor.store._files import FileDigests
 from skymoor.store._memory import peak_mib, reset_peak
-from skymoor.store._photos import check_photos, photos_fingerprint, photos_from_sizes
+from skymoor.store._photos import check_photos, photo_files, photos_from_sizes
+from skymoor.store._plain import plain
 from skymoor.types import Photos, Progress, no_progress
 
 T = TypeVar("T")
 
 LOG = logging.getLogger("skymoor")
 KEY_LENGTH = 12
+STAGES = "stages"
+UNCOUNTED = ("progress", "checkpoint")
+"""Options of stages that change how the work goes on, and not what comes of it."""
 
 PRODUCTS = (
     *("summary.json", "cameras.csv", "cameras.geojson", "colmap", "pointcloud.laz", "ortho.tif", "dsm.tif"),
-    *("renders", "matches", "evaluation.json", "report.html", "run.log", "stages"),
+    *("renders", "matches", "evaluation.json", "report.html", "run.log", STAGES),
 )
 """What skymoor writes into a run directory, or deletes from it."""
-MARKS = (".lock", "summary.json", "stages")
+MARKS = (".lock", "summary.json", STAGES)
 """By one of these a folder is known as a run directory."""
 
 
@@ -60,16 +64,14 @@ class StageRecord:
 
 
 class Store:
-    """One run directory, held by one process. Use `Store.open`; it is also a context manager.
-
-    The cache under stages/ is pickle: open run directories only from people whose programs you would run.
-    """
+    """One run directory, held by one process. Use `Store.open`; it is also a context manager."""
 
     def __init__(self, root: Path, lock: int, note: Callable[[str], None]) -> None:
         self.root = root
         self._lock: int | None = lock
         self._note = note
         self._records: dict[str, StageRecord] = {}
+        self.files = FileDigests(root / STAGES / "files.json")
 
     @classmethod
     def open(cls, out: Path, note: Callable[[str], None] = lambda _: None) -> Store:
@@ -82,7 +84,7 @@ class Store:
             if out.exists() and not out.is_dir():
                 raise InputError(f"{out}: is a file; give a folder for the results with --out")
             _require_no_others_files(out)
-            (out / "stages").mkdir(parents=True, exist_ok=True)
+            (out / STAGES).mkdir(parents=True, exist_ok=True)
             lock = os.open(out / ".lock", os.O_RDWR | os.O_CREAT, 0o666)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -96,7 +98,7 @@ class Store:
         try:
             with (
                 disk_errors(out),
-                tempfile.TemporaryFile(dir=out / "stages") as probe,
+                tempfile.TemporaryFile(dir=out / STAGES) as probe,
             ):  # now, not after an hour of work
                 probe.write(b"\0")
         except InputError:
@@ -107,6 +109,7 @@ class Store:
 
     def close(self) -> None:
         """Let go of the directory; the end of the process does the same."""
+        self.files.save()
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -125,25 +128,47 @@ class Store:
         return tuple(self._records.values())
 
     def stage(
-        self,
-        name: str,
-        compute: Callable[[], T],
-        *,
-        options: object = None,
-        after: Sequence[str] = (),
-        code: Sequence[ModuleType | str] = (),
+        self, name: str, function: Callable[..., T], *inputs: Any, depends_on: object = None, **options: Any
     ) -> T:
-        """The result of `compute`, from the cache where nothing that it depends on has changed.
+        """The result of `function(*inputs, **options)`, from the cache where nothing that it depends on has changed.
 
-        It depends on the version of skymoor, the source text of the modules in `code` (of all modules below, for a
-        package), the `options` (see `digest`) and the stages in `after`, which must have run before. A damaged cache
-        file is computed again; files of the stage with another key are removed after success.
+        It depends on the source text of the module that defines the function and of all that it imports from this
+        package, likewise for the types of the inputs and options; on the content of inputs and options, where a path
+        stands for the content of its file (see `digest`); on the weights that an engine among them reads; and on
+        `depends_on`, which the function is not given. So no stage names the stages before it: what has changed in them
+        shows in their results. Options called `progress` and `checkpoint` change no result and do not count. A damaged
+        cache file is computed again; files of the stage with another key are removed after success.
+
+        Raises `ValueError` for a name that is used twice and for a local function.
         """
+        given = [*inputs, *(value for key, value in options.items() if key not in UNCOUNTED)]
+        key = self._key(function, given, sorted(options), depends_on)
+        return self._kept(name, key, lambda: function(*inputs, **options))
+
+    def photos(self, name: str, folder: Path, root: Path, progress: Progress = no_progress) -> Photos:
+        """`open_photos`, where the slow check of every file is the stage `name` and is not repeated when resuming.
+
+        Stages that read the photos depend on their names and content, wherever the folder lies.
+        """
+        content = tuple((file.name, self.files.sha256(file)) for file in photo_files(folder))
+        key = self._key(check_photos, [content], [], None)
+        sizes = self._kept(name, key, lambda: check_photos(folder, progress))
+        return photos_from_sizes(folder, root, sizes, content)
+
+    def _key(
+        self, function: Callable[..., object], given: Sequence[object], names: Sequence[str], extra: object
+    ) -> str:
+        parts = [part for value in (function, *given) for part in parts_of(value)]
+        read = [self.files.stamps(value.ready()) for value in (function, *given) if hasattr(value, "ready")]
+        settings = function if is_dataclass(function) else getattr(function, "__qualname__", "")
+        code = fingerprint(defining_modules(function, parts))
+        return digest([code, settings, given, names, read, extra], self.files.sha256)
+
+    def _kept(self, name: str, key: str, compute: Callable[[], T]) -> T:
+        """The result that is kept under this key, else that of `compute`, kept."""
         if not re.fullmatch(r"[a-z0-9][a-z0-9_.-]*", name) or name in self._records:
             raise ValueError(f"stage name {name!r} is not usable or was used before")
-        earlier = [self._records[other].key for other in after]
-        key = digest([__version__, name, code_fingerprint(code), options, earlier])
-        file = self.root / "stages" / f"{name}-{key[:KEY_LENGTH]}.pkl"
+        file = self.root / STAGES / f"{name}-{key[:KEY_LENGTH]}.npz"
         cached = self._cached(name, key, file)
         if cached is not None:
             record, value = cached
@@ -160,13 +185,16 @@ class Store:
         self._forget_others(name, file)
         return value  # type: ignore[no-any-return]
 
-    def photos(self, name: str, folder: Path, root: Path, progress: Progress = no_progress) -> Photos:
-        """`open_photos`, where the slow check of every file is the stage `name` and is not repeated when resuming.
-
-        Give `name` in the `after` of the stages that read the photos.
-        """
-        sizes = self.stage(name, lambda: check_photos(folder, progress), options=photos_fingerprint(folder))
-        return photos_from_sizes(folder, root, sizes)
+    def clean(self) -> int:
+        """Delete the cache, which the same run would compute again; returns how many bytes that frees."""
+        folder = self.root / STAGES
+        files = [path for path in folder.rglob("*") if path.is_file()]
+        size = sum(path.stat().st_size for path in files)
+        with disk_errors(folder):
+            for path in files:
+                path.unlink(missing_ok=True)
+        self.files.forget()
+        return size
 
     def path(self, *parts: str) -> Path:
         """Where a product lies. Raises `ValueError` for a path outside of the run directory."""
@@ -177,7 +205,7 @@ class Store:
 
     def scratch(self, stage: str) -> Path:
         """A file for the unfinished work of a stage; the stage removes it when it is done."""
-        return self.root / "stages" / f"{stage}.unfinished"
+        return self.root / STAGES / f"{stage}.unfinished"
 
     def write_bytes(self, name: str, content: bytes) -> Path:
         """Write a file whole; `name` is relative to the run directory and may hold folders."""
@@ -246,40 +274,24 @@ class Store:
         return replace(record, cached=True), value
 
     def _forget_others(self, name: str, file: Path) -> None:
-        pattern = re.compile(rf"{re.escape(name)}-[0-9a-f]{{{KEY_LENGTH}}}\.pkl")
+        pattern = re.compile(rf"{re.escape(name)}-[0-9a-f]{{{KEY_LENGTH}}}\.(npz|pkl)")
         for other in file.parent.iterdir():
             if other != file and pattern.fullmatch(other.name):
                 with suppress(OSError):  # room that is not won back is no reason to stop
                     other.unlink(missing_ok=True)
 
 
+def is_run(folder: Path) -> bool:
+    """Whether a folder has a trace of a run."""
+    return any((folder / mark).exists() for mark in MARKS)
+
+
 def _require_no_others_files(out: Path) -> None:
     """A folder without a trace of a run may hold an ortho.tif, but then it is not skymoor's to replace or delete."""
-    if any((out / mark).exists() for mark in MARKS):
+    if is_run(out):
         return
     for name in PRODUCTS:
         if (out / name).exists():
             raise InputError(
                 f"{out / name}: is not of a run, and a run would replace it; give another folder with --out"
             )
-
-
-def plain(value: object) -> object:
-    """What the JSON encoder understands."""
-    if isinstance(value, Enum):
-        return value.name
-    if isinstance(value, (np.ndarray, np.generic)):
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    if value is None or isinstance(value, (bool, int, str)):
-        return value
-    if isinstance(value, Path):
-        return value.as_posix()
-    if is_dataclass(value) and not isinstance(value, type):
-        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [plain(item) for item in value]
-    raise TypeError(f"{type(value).__qualname__} cannot be written as JSON")

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from skymoor.engines.options import FIXED
 from skymoor.geometry import Similarity
 from skymoor.ground.tiles.evidence import ConsensusOptions, Evidence, PairEvidence, Pool, evidence_of
 from skymoor.ground.tiles.images import airborne_tiles, ground_photo, samples_of, shown_shares
@@ -46,19 +47,21 @@ class CascadeOptions:
             their share against the likeness, both in standard deviations. The order is drawn with these odds.
     """
 
-    min_coverage: float = 0.2
+    min_coverage: float = field(default=0.2, metadata=FIXED)
     max_share: float = 0.25
     budget_s: float = float("inf")
-    tested: int = 3
-    probes: int = 3
-    seen_tiles: int = 3
-    min_shown: float = 0.05
-    reach_m: float = 1.5
-    same_m: float = 2.5
-    decisive_margin: float = 2.0
-    consensus: ConsensusOptions = field(default_factory=lambda: ConsensusOptions(min_scale=0.6, max_scale=2.6))
-    retriever: Retriever = field(default_factory=ChannelRetriever)
-    upright_weight: float = 1.0
+    tested: int = field(default=3, metadata=FIXED)
+    probes: int = field(default=3, metadata=FIXED)
+    seen_tiles: int = field(default=3, metadata=FIXED)
+    min_shown: float = field(default=0.05, metadata=FIXED)
+    reach_m: float = field(default=1.5, metadata=FIXED)
+    same_m: float = field(default=2.5, metadata=FIXED)
+    decisive_margin: float = field(default=2.0, metadata=FIXED)
+    consensus: ConsensusOptions = field(
+        default_factory=lambda: ConsensusOptions(min_scale=0.6, max_scale=2.6), metadata=FIXED
+    )
+    retriever: Retriever = field(default_factory=ChannelRetriever, metadata=FIXED)
+    upright_weight: float = field(default=1.0, metadata=FIXED)
 
 
 def cascade(

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ground components on the airborne model by their walls."""
 
-from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions, airborne_walls, moved_map
+from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions, airborne_walls, moved_map, walls_of_components
 from skymoor.ground.walls.answers import WallAnswers
-from skymoor.ground.walls.camera_check import CameraOptions, CameraWitness, hear_cameras
+from skymoor.ground.walls.camera_check import CameraOptions, CameraWitness, check_ground_poses, hear_cameras
 from skymoor.ground.walls.consensus import Candidate, Guess, JudgeOptions, PoolOptions, judge_ground, pool_guesses
 from skymoor.ground.walls.facade_pairs import Counterpart, CounterpartOptions, counterparts
 from skymoor.ground.walls.facades import Facade, FacadeOptions, affine_between, facade_of, similarity_between
@@ -40,6 +40,7 @@ __all__ = [
     "affine_between",
     "agreement",
     "airborne_walls",
+    "check_ground_poses",
     "check_sight",
     "counterparts",
     "drift",
@@ -56,5 +57,6 @@ __all__ = [
     "sight_of",
     "similarity_between",
     "surface_of",
+    "walls_of_components",
     "walls_picture",
 ]

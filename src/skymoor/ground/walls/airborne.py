@@ -14,6 +14,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from skymoor.engines.options import FIXED
+from skymoor.errors import DegenerateGeometry
 from skymoor.geometry import Similarity
 from skymoor.ground.walls.consensus import JudgeOptions, PoolOptions
 from skymoor.ground.walls.facade_pairs import CounterpartOptions
@@ -53,25 +55,27 @@ class GroundOptions:
     searched_walls: int = 5
     min_scale: float = 0.6
     max_scale: float = 2.6
-    max_blocked: float = 0.1
-    max_angle_deg: float = 12.0
-    max_gap_m: float = 1.5
+    max_blocked: float = field(default=0.1, metadata=FIXED)
+    max_angle_deg: float = field(default=12.0, metadata=FIXED)
+    max_gap_m: float = field(default=1.5, metadata=FIXED)
     finalists: int = 4
-    rounds: int = 2
-    min_kept: float = 0.7
-    polish: PolishOptions = field(default_factory=PolishOptions)
-    aside: AsideOptions = field(default_factory=AsideOptions)
-    walls: WallOptions = field(default_factory=WallOptions)
-    airborne_facades: FacadeOptions = field(default_factory=FacadeOptions)
-    ground_facades: FacadeOptions = field(default_factory=lambda: FacadeOptions(margin_m=4.0, guess_margin_m=4.0))
-    search: FacadeSearchOptions = field(default_factory=FacadeSearchOptions)
-    pool: PoolOptions = field(default_factory=PoolOptions)
-    dense: DenseMatcher = field(default_factory=StructuralMatcher)
-    cyclic: CyclicOptions = field(default_factory=lambda: CyclicOptions(max_matches=1500))
-    register: RegisterOptions = field(
-        default_factory=lambda: RegisterOptions(inlier_m=0.5, correlation_m=3.0, tilt_sigma_deg=1.0)
+    rounds: int = field(default=2, metadata=FIXED)
+    min_kept: float = field(default=0.7, metadata=FIXED)
+    polish: PolishOptions = field(default_factory=PolishOptions, metadata=FIXED)
+    aside: AsideOptions = field(default_factory=AsideOptions, metadata=FIXED)
+    walls: WallOptions = field(default_factory=WallOptions, metadata=FIXED)
+    airborne_facades: FacadeOptions = field(default_factory=FacadeOptions, metadata=FIXED)
+    ground_facades: FacadeOptions = field(
+        default_factory=lambda: FacadeOptions(margin_m=4.0, guess_margin_m=4.0), metadata=FIXED
     )
-    counterparts: CounterpartOptions = field(default_factory=CounterpartOptions)
+    search: FacadeSearchOptions = field(default_factory=FacadeSearchOptions, metadata=FIXED)
+    pool: PoolOptions = field(default_factory=PoolOptions, metadata=FIXED)
+    dense: DenseMatcher = field(default_factory=StructuralMatcher, metadata=FIXED)
+    cyclic: CyclicOptions = field(default_factory=lambda: CyclicOptions(max_matches=1500), metadata=FIXED)
+    register: RegisterOptions = field(
+        default_factory=lambda: RegisterOptions(inlier_m=0.5, correlation_m=3.0, tilt_sigma_deg=1.0), metadata=FIXED
+    )
+    counterparts: CounterpartOptions = field(default_factory=CounterpartOptions, metadata=FIXED)
     judge: JudgeOptions = field(default_factory=JudgeOptions)
 
 
@@ -102,6 +106,21 @@ def airborne_walls(
         facades.append(facade_of(wall, maps_enu, options.pixel_m, options.airborne_facades))
         progress(done + 1, len(walls))
     return AirborneWalls(tuple(facades), relief_of(surface))
+
+
+def walls_of_components(
+    components: Sequence[tuple[Sequence[DepthMap], Similarity]],
+    options: GroundOptions | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress = no_progress,
+) -> AirborneWalls | None:
+    """`airborne_walls` of several components, of each its depth maps and ENU from their frame; None without surface."""
+    maps_enu = [moved_map(depth_map, enu_from_level) for maps, enu_from_level in components for depth_map in maps]
+    try:
+        return airborne_walls(maps_enu, options, rng=np.random.default_rng(seed), progress=progress)
+    except DegenerateGeometry:
+        return None
 
 
 def moved_map(depth_map: DepthMap, target_from_source: Similarity) -> DepthMap:

@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from skymoor.densify import blind_map
 from skymoor.geometry import Similarity
 from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions
 from skymoor.ground.walls.dense import photo_matches
 from skymoor.ground.walls.facade_pairs import counterparts
+from skymoor.ground.walls.figure import walls_picture
 from skymoor.ground.walls.shifts import drift
-from skymoor.types import DepthMap
+from skymoor.types import Camera, DepthMap, Image, Photos
 
 
 @dataclass(frozen=True)
@@ -112,3 +114,28 @@ def _hear(
         offset = float(np.hypot(*surest.px)) * options.pixel_m
     heard = len(matches) >= limits.min_matches or elsewhere
     return CameraWitness(depth_map.camera.image, score, best, len(matches), offset, heard, contradicts=elsewhere)
+
+
+def check_ground_poses(
+    cameras: Sequence[Camera],
+    maps_level: Sequence[DepthMap],
+    photos: Photos,
+    airborne: AirborneWalls,
+    enu_from_level: Similarity,
+    options: GroundOptions | None = None,
+    *,
+    max_px: int,
+    seed: int = 0,
+) -> tuple[list[CameraWitness], Image | None]:
+    """`hear_cameras` for all cameras of a component, and a figure of its walls.
+
+    Args:
+        cameras: of the component; those without a depth map are checked by their photos, of `max_px` along the side.
+        maps_level, photos, airborne, enu_from_level, options: see `hear_cameras`.
+        seed: of random choices.
+    """
+    measured = {depth_map.camera.image for depth_map in maps_level}
+    others = [camera for camera in cameras if camera.image not in measured]
+    maps = [*maps_level, *(blind_map(camera, photos, max_px) for camera in others)]
+    heard = hear_cameras(maps, airborne, enu_from_level, options, rng=np.random.default_rng(seed))
+    return heard, walls_picture(maps_level, airborne, enu_from_level, options)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from skymoor.engines.options import FIXED
 from skymoor.engines.raycast import RayCaster
 from skymoor.errors import DegenerateGeometry
 from skymoor.model.blend import Blend, BlendOptions
@@ -34,11 +35,11 @@ class MeshBuilder:
     """
 
     voxel_px: float = 2.0
-    trunc_voxels: float = 6.0
-    min_weight: float = 2.0
-    max_sigma_ratio: float = 0.02
-    max_voxels_across: int = 1500
-    blend: BlendOptions = field(default_factory=BlendOptions)
+    trunc_voxels: float = field(default=6.0, metadata=FIXED)
+    min_weight: float = field(default=2.0, metadata=FIXED)
+    max_sigma_ratio: float = field(default=0.02, metadata=FIXED)
+    max_voxels_across: int = field(default=1500, metadata=FIXED)
+    blend: BlendOptions = field(default_factory=BlendOptions, metadata=FIXED)
 
     def __call__(
         self,
@@ -85,9 +86,6 @@ class MeshModel:
     def caster(self) -> RayCaster:
         """The ray caster of the mesh, made on first use."""
         return RayCaster(self.vertices, self.triangles)
-
-    def __getstate__(self) -> dict[str, object]:
-        return {key: value for key, value in self.__dict__.items() if key != "caster"}
 
     def render(self, view: View, *, progress: Progress = no_progress) -> Render:
         """Cast, fill what no ray hits from nearby (confidence 0), colour and judge; see `SceneModel`."""

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -32,7 +34,7 @@ class Field(nn.Module):
         self, sizes: Sizes, box: Box, pixel_inner: float, prior: Tensor, n_images: int, generator: torch.Generator
     ) -> None:
         super().__init__()
-        self.box, self.sizes = box, sizes
+        self.box, self.sizes, self.pixel_inner = box, sizes, pixel_inner
         finest = math.ceil(box.inner_per_unit / (sizes.finest_px * pixel_inner))
         self.grid = HashGrid(sizes, finest, box.height, generator)
         self.register_buffer("prior", prior[None, None])
@@ -47,6 +49,22 @@ class Field(nn.Module):
             nn.init.zeros_(first.weight[:, -sizes.features : -sizes.features + 3 or None])
         self.log_gain = nn.Parameter(torch.zeros(n_images, 3))
         self.appearance = nn.Parameter(0.01 * torch.randn(n_images, sizes.appearance, generator=generator))
+
+    def to_state(self) -> dict[str, Any]:
+        """What the field can be made of again, in main memory: a machine without CUDA must be able to read it."""
+        tensors = {name: tensor.detach().cpu() for name, tensor in self.state_dict().items()}
+        made_of = {"sizes": self.sizes, "box": self.box, "pixel_inner": self.pixel_inner}
+        return {**made_of, "n_images": len(self.log_gain), "tensors": tensors}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Field:
+        """The field of a state."""
+        tensors = state["tensors"]
+        prior = tensors["prior"][0, 0]
+        made_of = (state["sizes"], state["box"], state["pixel_inner"], prior, state["n_images"])
+        field = cls(*made_of, torch.Generator().manual_seed(0))
+        field.load_state_dict(tensors)
+        return field
 
     def log_prior(self, unit: Tensor) -> Tensor:
         """The prior (n,) at unit coordinates (n, 3)."""

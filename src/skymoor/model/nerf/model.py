@@ -92,12 +92,5 @@ class NerfModel:
         bins, proposal = self.field.sizes.bins, self.proposal.to(choose_device(self.device))
         return tuple(z_buffer(proposal, depth_map.camera, REDUCE, bins) for depth_map in self.maps)
 
-    def __getstate__(self) -> dict[str, object]:
-        """What is pickled: a machine without CUDA must be able to read it."""
-        state = {key: value for key, value in self.__dict__.items() if key != "_z_buffers"}
-        main = torch.device("cpu")
-        moved = None if self.deformation is None else self.deformation.to(main)
-        return {**state, "field": self.field.to(main), "proposal": self.proposal.to(main), "deformation": moved}
-
 
 _model: type[SceneModel] = NerfModel

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from skymoor.engines.options import FIXED
 from skymoor.model.blend import BlendOptions
 
 
@@ -158,6 +159,7 @@ class NerfOptions:
     Attributes:
         preset: which sizes are taken, `small` for a few CPU cores or `huge` for a GPU.
         small, huge: those sizes.
+        iterations: training steps at most; 0 leaves them to the preset.
         budget_s: seconds of training on the clock; 0 leaves it to the preset's number of steps. What the clock ends
             cannot be repeated to the bit.
         device: `auto` takes CUDA where there is one.
@@ -169,23 +171,25 @@ class NerfOptions:
     """
 
     preset: Literal["small", "huge"] = "small"
-    small: Sizes = field(default_factory=Sizes)
-    huge: Sizes = HUGE
+    small: Sizes = field(default_factory=Sizes, metadata=FIXED)
+    huge: Sizes = field(default=HUGE, metadata=FIXED)
+    iterations: int = 0
     budget_s: float = 0.0
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: Literal["auto", "cpu", "cuda"] = field(default="auto", metadata=FIXED)
     threads: int = 0
-    seed: int = 0
+    seed: int = field(default=0, metadata=FIXED)
     compile: bool = False
     texture: Literal["auto", "blend", "field"] = "auto"
-    losses: LossWeights = field(default_factory=LossWeights)
-    prior: PriorOptions = field(default_factory=PriorOptions)
-    blend: BlendOptions = field(default_factory=BlendOptions)
-    uncertainty: UncertaintyOptions = field(default_factory=UncertaintyOptions)
+    losses: LossWeights = field(default_factory=LossWeights, metadata=FIXED)
+    prior: PriorOptions = field(default_factory=PriorOptions, metadata=FIXED)
+    blend: BlendOptions = field(default_factory=BlendOptions, metadata=FIXED)
+    uncertainty: UncertaintyOptions = field(default_factory=UncertaintyOptions, metadata=FIXED)
 
     @property
     def sizes(self) -> Sizes:
         """Those of the preset."""
-        return self.small if self.preset == "small" else self.huge
+        sizes = self.small if self.preset == "small" else self.huge
+        return replace(sizes, iterations=self.iterations) if self.iterations else sizes
 
     @property
     def colours(self) -> Literal["blend", "field"]:

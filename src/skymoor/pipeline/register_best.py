@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dense matches at the best hypotheses of the search, and the registration that most independent places confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skymoor.match.align import match_placed
+from skymoor.match.cyclic import CyclicOptions
+from skymoor.match.protocol import DenseMatcher
+from skymoor.match.rasters import nadir_raster, reference_raster
+from skymoor.match.search import Placement
+from skymoor.pipeline.overlay import lay_on_reference
+from skymoor.registration import LiftOptions, RegisterOptions, height_agreement, judge, lift, register
+from skymoor.types import Matches3D, Reference, Registration, Render
+
+
+def register_best(
+    placements: Sequence[Placement],
+    decoys: Sequence[float],
+    render: Render,
+    reference: Reference,
+    matcher: DenseMatcher,
+    *,
+    candidates: int,
+    min_confidence: float,
+    cyclic: CyclicOptions,
+    lift_options: LiftOptions,
+    options: RegisterOptions,
+    seed: int,
+) -> tuple[Registration, Matches3D]:
+    """The registration of the best hypothesis, accepted or refused, and its matches.
+
+    Args:
+        placements: hypotheses of the search, best first; `candidates` of them are matched.
+        decoys: null scores of the same search.
+        render, reference: what is matched, by `matcher`.
+        min_confidence: heights of the render below it are left out.
+        cyclic, lift_options, options: of the steps.
+        seed: of random choices.
+    """
+    rng = np.random.default_rng(seed)
+    image, map_image = nadir_raster(render, min_confidence), reference_raster(reference)
+    results: list[tuple[Registration, Matches3D]] = []
+    for k, placement in enumerate(placements[:candidates]):
+        b_from_a = placement.matrix(image.mask.shape)
+        metres_per_level = placement.scale * reference.grid.pixel_m / render.view.pixel
+        matches_2d, _ = match_placed(image, map_image, b_from_a, matcher, cyclic, rng=rng)
+        matches = lift(matches_2d, render, reference, metres_per_level, lift_options)
+        registration = register(matches, reference.grid.pixel_m, options, rng=rng)
+        heights = None
+        if registration.registered:
+            _, up = lay_on_reference(render, registration, reference, min_confidence)
+            heights = height_agreement(up, reference.height, reference.grid.pixel_m)
+        scores = [placement.score, *(other.score for j, other in enumerate(placements) if j != k)]
+        found = judge(registration, scores, len(matches_2d), options, decoys=decoys, heights=heights)
+        results.append((found, matches))
+    return max(results, key=lambda result: (result[0].registered, result[0].diagnostics.get("cells", 0.0)))

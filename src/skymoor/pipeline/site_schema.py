@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON schema of site.toml, made of the options themselves."""
+
+from __future__ import annotations
+
+from dataclasses import is_dataclass
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from skymoor.pipeline.option_docs import descriptions_of
+from skymoor.pipeline.option_parser import option_fields
+from skymoor.pipeline.options import Options
+
+PLAIN = {float: "number", int: "integer", bool: "boolean", str: "string", Path: "string"}
+
+
+def site_schema() -> dict[str, Any]:
+    """For editors that complete and check site.toml (JSON Schema, draft 2020-12)."""
+    metres = {"type": "number", "exclusiveMinimum": 0}
+    row = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
+    reference = {
+        "ortho": {"type": "string", "description": "orthophoto, any CRS that GDAL reads"},
+        "dsm": {"type": "string", "description": "its surface model, heights in metres"},
+        "vertical_datum": {"type": "string", "description": '"ellipsoid" or an EPSG code such as "EPSG:3855"'},
+        "ce90": {**metres, "description": "circular error, 90 percent, metres"},
+        "le90": {**metres, "description": "linear (vertical) error, 90 percent, metres"},
+        "covariance": {"type": "array", "items": row, "minItems": 3, "maxItems": 3},
+    }
+    images = _table({"images": {"type": "string", "description": "folder of photos"}}, required=["images"])
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "A site of skymoor",
+        **_table(
+            {
+                "name": {"type": "string"},
+                "reference": _table(reference, required=["ortho", "dsm"]),
+                "airborne": images,
+                "ground": {"type": "array", "items": images},
+                "options": _options(Options()),
+            },
+            required=["reference"],
+        ),
+    }
+
+
+def _table(properties: dict[str, Any], *, required: list[str] | None = None) -> dict[str, Any]:
+    table: dict[str, Any] = {"type": "object", "properties": properties, "additionalProperties": False}
+    return {**table, "required": required} if required else table
+
+
+def _options(config: Any) -> dict[str, Any]:
+    hints, told = get_type_hints(type(config)), descriptions_of(type(config))
+    properties: dict[str, Any] = {}
+    for item in option_fields(config):
+        value = getattr(config, item.name)
+        if is_dataclass(value):
+            properties[item.name] = _options(value)
+        else:
+            about = {"description": told[item.name]} if item.name in told else {}
+            properties[item.name] = {**_kind(hints[item.name]), "default": value, **about}
+    return _table(properties)
+
+
+def _kind(annotation: Any) -> dict[str, Any]:
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Literal:
+        return {"enum": list(arguments)}
+    if origin in (Union, UnionType):
+        return {"anyOf": [_kind(one) if one is not NoneType else {"const": "none"} for one in arguments]}
+    if origin is tuple:
+        return {"type": "array", "items": _kind(arguments[0])}
+    return {"type": PLAIN[annotation]}
