@@ -2,7 +2,7 @@
 """The radiance field against the fused mesh: what each costs, how well it knows where things are, and what that does
 to the cameras' places.
 
-    python benchmarks/scene_models.py --out RUNS SITE [SITE ...] [--set model.nerf.small.iterations=400] [--models ...]
+    python benchmarks/scene_models.py --out RUNS SITE [SITE ...] [--set model.nerf.iterations=400] [--models ...]
 
 SITE is a folder with site.toml and truth.csv. Both models are built from the same depth maps, one after the other, by
 the skymoor command. For a simulated site every ray of the nadir view and of the eight obliques is also cast into the

@@ -22,7 +22,7 @@ SMALL = SiteOptions(
     ortho_pixel_m=0.5,
 )
 # Whoever knows how high the drone flew saves time, for every height is searched. Small photos hold few features anyway.
-FASTER = {"match.min_height_m": 60, "match.max_height_m": 90, "reconstruct.matcher.sift.max_features": 2500}
+FASTER = {"match.min_height_m": 60, "match.max_height_m": 90, "engines.sift.max_features": 2500}
 
 
 def main(folder: Path, site: Path | None = None, options: dict[str, float] = FASTER) -> None:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """skymoor moors floating 3D models to the Earth.
 
-For notebooks and scripts: `register` is the whole job, `read` loads what a run wrote, and both return a `Result`. Single
-steps are functions, too: `match_rasters`, `lift`, `register_matches`, `level_component`, `render_nadir`. Everything is
-imported when it is first used, so that `import skymoor` costs nothing.
+For notebooks and scripts: `register` is the whole job, `read` loads what a run wrote, and both return a `Result`. The
+single steps are functions, too: `match_rasters`, `lift`, `register_matches`, `level_component`, `render_nadir`. All of
+them are imported when they are first used, so that `import skymoor` costs nothing.
 """
 
 # pycolmap exports its static zlib symbols; unless the system's zlib is loaded first, a later PNG write

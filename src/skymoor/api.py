@@ -270,7 +270,9 @@ def _track(progress: StageProgress, name: str) -> Progress:
 def _require_run(site: Site, out: Path, seed: int) -> None:
     """What would go wrong later, or would harm the user's own files."""
     if site.airborne is None:
-        raise InputError(f"{site.name}: it names no [airborne] images; ground photos are placed on the airborne model")
+        raise InputError(
+            f"{site.source}: it names no [airborne] images; ground photos are placed on the airborne model"
+        )
     if not 0 <= seed <= LARGEST_SEED:
         raise InputError(f"--seed {seed}: give a whole number from 0 to {LARGEST_SEED}")
     folders, where = _folders(site), out.resolve()

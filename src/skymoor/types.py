@@ -288,9 +288,27 @@ class Reference:
     crs: str = "EPSG:4326"  # of the orthophoto, for products
 
 
+@dataclass(frozen=True)
+class Criterion:
+    """A value that was compared with a limit to decide about a registration.
+
+    `kind` is a key of `registration.criteria.KINDS`, which says what it means, on which side of the limit it passes,
+    and what helps where it fails.
+    """
+
+    kind: str
+    value: float
+    limit: float
+    passed: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where a model is on Earth, or why that is not known."""
+    """Where a model is on Earth, or why that is not known.
+
+    `criteria` are all that were asked, in the order in which they take precedence; `reason` is that of the first that
+    failed. A refusal before any was asked has a reason and no criteria.
+    """
 
     registered: bool
     reason: str
@@ -304,6 +322,7 @@ class Registration:
     inliers: Mask | None = None
     residuals_m: Array | None = None  # (n, 3) east-north-up of every match
     diagnostics: dict[str, float] = field(default_factory=dict)
+    criteria: tuple[Criterion, ...] = ()
 
     @property
     def inlier_ratio(self) -> float:

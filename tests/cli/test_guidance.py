@@ -11,7 +11,7 @@ import pytest
 
 from skymoor.cli import doctor
 from skymoor.cli.main import COMMANDS, main
-from skymoor.pipeline.estimate import plan
+from skymoor.pipeline.estimate import estimate_run
 from skymoor.pipeline.log import logged
 from skymoor.pipeline.option_parser import with_options
 from skymoor.pipeline.options import Options
@@ -67,15 +67,15 @@ def test_plans_grow_with_the_work() -> None:
     options = Options()
 
     def seconds(*arguments: object) -> float:
-        return sum(step.seconds for step in plan(*arguments))  # type: ignore[arg-type]
+        return sum(step.seconds for step in estimate_run(*arguments))  # type: ignore[arg-type]
 
     alone = seconds(few, [], 1_000_000, options)
     assert 60 < alone < 600  # forty photos of this size took 211 s, of which reconstruction 122
     assert seconds(many, [], 1_000_000, options) > 4 * alone
     assert seconds(few, [few], 1_000_000, options) > 1.5 * alone
-    slow = with_options(options, {"reconstruct.matcher.kind": "dedode_roma"})
+    slow = with_options(options, {"reconstruct.matcher": "dedode_roma"})
     assert seconds(few, [], 1_000_000, slow) > 100 * alone
-    assert max(step.mib for step in plan(many, [], 1_000_000, options)) > 1000
+    assert max(step.mib for step in estimate_run(many, [], 1_000_000, options)) > 1000
 
 
 def test_the_doctor_sees_what_is_there_and_what_is_not(

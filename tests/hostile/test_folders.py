@@ -162,16 +162,16 @@ def test_the_folder_of_a_former_run_is_used_again(tmp_path: Path) -> None:
     assert (site / "out/cameras.csv").exists()
 
 
+def check_and_lose(folder: Path, progress: object) -> object:
+    sizes = _photos.check_photos(folder)
+    (folder / "2.png").unlink()
+    return sizes
+
+
 def test_photos_that_vanish_between_two_looks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     site = make_site(tmp_path)
     with pytest.MonkeyPatch.context() as patch:
-
-        def check(folder: Path, progress: object) -> object:
-            sizes = _photos.check_photos(folder)
-            (folder / "2.png").unlink()
-            return sizes
-
-        patch.setattr(_run, "check_photos", check)
+        patch.setattr(_run, "check_photos", check_and_lose)
         assert run(site) == 2
     assert "came or went" in capsys.readouterr().err
 

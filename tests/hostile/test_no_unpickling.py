@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No call in the sources can run code that stands in a file of weights."""
+"""No call in the sources can run code that stands in a file of weights or in the cache of a run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import pytest
 import skymoor
 
 SOURCES = Path(skymoor.__file__).parent
-CACHE = "store/_cache.py"  # the run's own results, behind a checksum
 
 
 def calls(text: str) -> Iterator[tuple[str, dict[str, object]]]:
@@ -40,7 +39,7 @@ def dangers(text: str) -> list[str]:
 def test_no_file_is_trusted() -> None:
     found = {file.relative_to(SOURCES).as_posix(): dangers(file.read_text("utf-8")) for file in SOURCES.rglob("*.py")}
     assert len(found) > 100
-    assert {name: what for name, what in found.items() if what} == {CACHE: ["pickle.load"]}
+    assert {name: what for name, what in found.items() if what} == {}
 
 
 @pytest.mark.parametrize(

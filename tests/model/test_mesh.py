@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from skymoor.densify import SgmDepth
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry import Similarity
 from skymoor.model import MeshBuilder, MeshModel, nadir_view
+from skymoor.store._cache import read_cache, write_cache
 from skymoor.types import DepthMap, Render, View
 from support.flight import STANDOFF_M, Flight, as_colours, on_tent, seen_from_above, true_component, true_maps
 
@@ -201,8 +202,9 @@ def test_an_oblique_view_hits_the_same_surface(flight: Flight, exact_model: Mesh
     assert np.median(np.abs(gap)) < 0.03  # walls stand below the roofs that are seen from above
 
 
-def test_a_model_survives_pickling(exact_model: MeshModel, exact: Rendered) -> None:
-    again = pickle.loads(pickle.dumps(exact_model)).render(exact.render.view)
+def test_a_model_survives_the_cache(exact_model: MeshModel, exact: Rendered, tmp_path: Path) -> None:
+    write_cache(tmp_path / "model.npz", None, exact_model)
+    again = read_cache(tmp_path / "model.npz")[1].render(exact.render.view)
     np.testing.assert_array_equal(again.rgb, exact.render.rgb)
     np.testing.assert_array_equal(again.confidence, exact.render.confidence)
 

@@ -129,7 +129,7 @@ def test_a_second_run_is_served_from_the_cache(copied: Path, small_site: Site) -
 
 
 def test_a_radiance_field_places_the_photos_as_well(copied: Path, small_site: Site) -> None:
-    options = ("--set", "model.kind=nerf", "--set", "model.nerf.small.iterations=30")
+    options = ("--set", "model.kind=nerf", "--set", "model.nerf.iterations=30")
     mesh = rows_of(copied / "cameras.csv")
     assert run(small_site.folder / "airborne.toml", copied, *options) == 0
     redone = ("model", "nadir", "search", "decoys", "register")

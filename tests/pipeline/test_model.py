@@ -64,7 +64,7 @@ def test_depths_of_single_photos_reach_the_field(tmp_path: Path) -> None:
 
 def test_nothing_is_asked_for_a_mesh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("SKYMOOR_WEIGHTS", str(tmp_path))
-    mesh = with_options(Options(), {"model.monocular.kind": "depth_anything"})
+    mesh = with_options(Options(), {"model.ranking": "depth_anything"})
     assert mesh.model.ranking is None
     check_engines(mesh)
     with pytest.raises(BackendUnavailable):

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from skymoor.errors import InputError
-from skymoor.store import Store, has_metadata, open_photos, photos_fingerprint
+from skymoor.store import Store, digest, has_metadata, open_photos
 
 RGB: NDArray[np.uint8] = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
 
@@ -107,15 +108,21 @@ def test_missing_empty_and_small_folders(folder: Path, tmp_path: Path) -> None:
         open_photos(folder, folder)
 
 
-def test_fingerprint_sees_every_change(folder: Path) -> None:
-    before = photos_fingerprint(folder)
+def test_photos_count_by_names_and_content(folder: Path, tmp_path: Path) -> None:
+    def key(at: Path) -> str:
+        with Store.open(tmp_path / "out") as store:
+            return digest(store.photos("photos", at, at.parent))
+
+    before = key(folder)
     (folder / "notes.txt").write_text("y")
-    assert photos_fingerprint(folder) == before
     os.utime(folder / "b.png", ns=(0, 1))
-    touched = photos_fingerprint(folder)
-    assert touched != before
-    (folder / "b.png").rename(folder / "d.png")
-    assert photos_fingerprint(folder) != touched
+    assert key(folder) == before
+    copied = Path(shutil.copytree(folder, tmp_path / "elsewhere" / folder.name))
+    assert key(copied) == before
+    (copied / "b.png").rename(copied / "d.png")
+    renamed = key(copied)
+    Image.fromarray(RGB[::-1]).save(copied / "d.png")
+    assert len({before, renamed, key(copied)}) == 3
 
 
 def test_check_is_not_repeated_when_resuming(folder: Path, tmp_path: Path) -> None:

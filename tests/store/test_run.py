@@ -5,9 +5,10 @@ import errno
 import json
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -24,18 +25,34 @@ class Step:
     gain: float = 2.0
 
 
-class Counter:
-    """Computations that count how often they ran."""
+@dataclass(frozen=True)
+class Stage:
+    """A stage that returns `value`, and notes that it ran."""
 
-    def __init__(self) -> None:
-        self.ran: list[str] = []
+    name: str
+    value: object = None
+    ran: ClassVar[list[str]] = []
 
-    def __call__(self, name: str, value: object) -> Callable[[], object]:
-        def compute() -> object:
-            self.ran.append(name)
-            return value
+    def __call__(self, *inputs: object, **options: object) -> object:
+        self.ran.append(self.name)
+        return self.value
 
-        return compute
+
+@pytest.fixture(autouse=True)
+def nothing_ran() -> None:
+    Stage.ran.clear()
+
+
+def crash(*_: object) -> int:
+    raise RuntimeError("crash")
+
+
+def nothing_that_is_kept(_: int) -> object:
+    return crash
+
+
+def heavy() -> int:
+    return int(np.ones(40_000_000, np.uint8).sum())
 
 
 @pytest.fixture
@@ -49,58 +66,79 @@ def store(out: Path) -> Iterator[Store]:
         yield opened
 
 
-def run(out: Path, count: Counter, first: Step, second: Step, notes: list[str] | None = None) -> list[bool]:
+def run(out: Path, first: Step, second: Step, notes: list[str] | None = None) -> list[bool]:
     """Two chained stages and one on its own; which of them came from the cache."""
     with Store.open(out, note=(notes if notes is not None else []).append) as store:
-        np.testing.assert_array_equal(store.stage("first", count("first", VALUE), options=first), VALUE)
-        store.stage("second", count("second", {"a": 1}), options=second, after=["first"])
-        store.stage("alone", count("alone", None))
+        made = store.stage("first", scaled, VALUE, first)
+        np.testing.assert_array_equal(made, first.gain * VALUE)
+        store.stage("second", Stage("second", {"a": 1}), made, options=second)
+        store.stage("alone", Stage("alone"))
         return [record.cached for record in store.records]
 
 
+def scaled(x: np.ndarray, step: Step) -> np.ndarray:
+    return step.gain * x
+
+
 def test_second_run_computes_nothing(out: Path) -> None:
-    count = Counter()
-    assert run(out, count, Step(), Step()) == [False, False, False]
-    assert run(out, count, Step(), Step()) == [True, True, True]
-    assert count.ran == ["first", "second", "alone"]
+    assert run(out, Step(), Step()) == [False, False, False]
+    assert run(out, Step(), Step()) == [True, True, True]
+    assert Stage.ran == ["second", "alone"]
 
 
 def test_changed_option_recomputes_only_downstream(out: Path) -> None:
-    count = Counter()
-    run(out, count, Step(), Step())
-    assert run(out, count, Step(), Step(3.0)) == [True, False, True]
-    assert run(out, count, Step(3.0), Step(3.0)) == [False, False, True]
+    run(out, Step(), Step())
+    assert run(out, Step(), Step(3.0)) == [True, False, True]
+    assert run(out, Step(3.0), Step(3.0)) == [False, False, True]
+
+
+def test_what_comes_out_the_same_changes_nothing_downstream(out: Path) -> None:
+    """Keys are made of results: another way to the same one is no reason to compute on."""
+    with Store.open(out) as store:
+        store.stage("second", Stage("second"), store.stage("first", scaled, VALUE, Step()))
+    with Store.open(out) as store:
+        store.stage("second", Stage("second"), store.stage("first", np.multiply, 2.0, VALUE))
+        assert [record.cached for record in store.records] == [False, True]
+
+
+def test_progress_and_checkpoints_count_for_nothing(out: Path) -> None:
+    for name, cached in (("a", False), ("b", True)):
+        with Store.open(out) as store:
+            own = {"progress": lambda *_: None, "checkpoint": out / name}
+            store.stage("work", Stage("work"), VALUE, **own)
+            assert store.records[0].cached is cached
 
 
 def test_old_results_of_a_stage_are_removed_and_others_kept(out: Path) -> None:
     with Store.open(out) as store:
-        store.stage("match", lambda: 1, options=1)
-        store.stage("match-air", lambda: 2, options=1)
+        store.stage("match", abs, 1)
+        store.stage("match-air", abs, 2)
+    (out / "stages/match-0123456789ab.pkl").touch()  # of a former version
     with Store.open(out) as store:
-        store.stage("match", lambda: 3, options=2)
-    names = sorted(file.name.rpartition("-")[0] for file in (out / "stages").iterdir())
+        store.stage("match", abs, 3)
+    names = sorted(file.name.rpartition("-")[0] for file in (out / "stages").glob("*-*"))
     assert names == ["match", "match-air"]
 
 
-def test_changed_source_recomputes(out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "engine_for_store_test"
-    (package / "inner").mkdir(parents=True)
-    for file in (package / "__init__.py", package / "inner" / "__init__.py", package / "inner" / "work.py"):
-        file.write_text("A = 1\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    count = Counter()
-    for edit, expected in ((None, 1), (None, 1), ("A = 2\n", 2)):
-        if edit:
-            (package / "inner" / "work.py").write_text(edit)
+def test_a_file_counts_by_what_it_holds(out: Path, tmp_path: Path) -> None:
+    first, second = tmp_path / "a.tif", tmp_path / "b.tif"
+    first.write_bytes(b"1")
+    second.write_bytes(b"1")
+    os.utime(second, ns=(0, 1))
+    for content, file, cached in ((None, first, False), (None, second, True), (b"2", second, False)):
+        if content:
+            second.write_bytes(content)
         with Store.open(out) as store:
-            store.stage("work", count("work", 0), code=[package.name])
-        assert len(count.ran) == expected
+            store.stage("read", Stage("read"), file, depends_on=[file])
+            assert store.records[0].cached is cached
+
+
+def test_local_functions_are_refused(store: Store) -> None:
+    with pytest.raises(ValueError, match="not a local function"):
+        store.stage("work", lambda: 1)
 
 
 def test_costs_survive_resuming(out: Path) -> None:
-    def heavy() -> int:
-        return int(np.ones(40_000_000, np.uint8).sum())
-
     for _ in range(2):
         with Store.open(out) as store:
             store.stage("heavy", heavy)
@@ -110,44 +148,51 @@ def test_costs_survive_resuming(out: Path) -> None:
     assert 40 < record.peak_mib < 100_000
 
 
+def test_the_cache_is_freed_and_the_results_stay(out: Path) -> None:
+    with Store.open(out) as store:
+        store.stage("work", scaled, VALUE, Step())
+        store.write_text("summary.json", "{}")
+        held = sum(file.stat().st_size for file in (out / "stages").iterdir())
+        assert store.clean() == held > VALUE.nbytes
+    assert (out / "summary.json").is_file() and not list((out / "stages").glob("work-*"))
+    with Store.open(out) as store:
+        store.stage("work", scaled, VALUE, Step())
+        assert not store.records[0].cached
+
+
 @pytest.mark.parametrize("damage", ["truncate", "flip", "empty"])
 def test_damaged_cache_is_computed_again_with_a_note(out: Path, damage: str) -> None:
-    count, notes = Counter(), list[str]()
-    run(out, count, Step(), Step())
+    notes = list[str]()
+    run(out, Step(), Step())
     file = next((out / "stages").glob("first-*"))
     content = bytearray(file.read_bytes())
-    content[len(content) // 2] ^= 1  # within the numbers, where pickle would not notice
+    content[len(content) // 2] ^= 1  # within the numbers, where nothing else would notice
     file.write_bytes({"truncate": content[:-30], "flip": content, "empty": b""}[damage])
-    assert run(out, count, Step(), Step(), notes) == [False, True, True]
+    assert run(out, Step(), Step(), notes) == [False, True, True]
     assert len(notes) == 1
     assert "first" in notes[0]
-    assert run(out, count, Step(), Step(), notes) == [True, True, True]
+    assert run(out, Step(), Step(), notes) == [True, True, True]
     assert len(notes) == 1
 
 
 def test_failing_stage_leaves_nothing_and_keeps_the_old_result(out: Path) -> None:
     with Store.open(out) as store:
-        store.stage("work", lambda: 1, options=1)
-
-    def crash() -> int:
-        raise RuntimeError("crash")
-
+        store.stage("work", abs, 1)
     with Store.open(out) as store, pytest.raises(RuntimeError):
-        store.stage("work", crash, options=2)
-    with Store.open(out) as store, pytest.raises((TypeError, AttributeError)):
-        store.stage("work", lambda: lambda: None, options=3)  # a result that cannot be pickled
+        store.stage("work", crash, 2)
+    with Store.open(out) as store, pytest.raises(TypeError, match="cannot be kept"):
+        store.stage("work", nothing_that_is_kept, 3)
     assert [file.name for file in out.rglob("*.tmp")] == []
     with Store.open(out) as store:
-        assert store.stage("work", crash, options=1) == 1
+        assert store.stage("work", abs, 1) == 1
+        assert store.records[0].cached
 
 
 def test_stage_names_are_used_once_and_plain(store: Store) -> None:
-    store.stage("a", lambda: 1)
+    store.stage("a", abs, 1)
     for name in ("a", "A b", "../a", ""):
         with pytest.raises(ValueError, match="stage name"):
-            store.stage(name, lambda: 1)
-    with pytest.raises(KeyError):
-        store.stage("b", lambda: 1, after=["never"])
+            store.stage(name, abs, 1)
 
 
 def _write_and_die(out: str) -> None:

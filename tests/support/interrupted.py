@@ -26,7 +26,7 @@ KILLED = -signal.SIGKILL
 def processes() -> ForkServerContext:
     """Where to start them; loading skymoor is paid for once."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["interrupted", "skymoor.cli.commands"])
+    context.set_forkserver_preload(["support.interrupted", "skymoor.api"])
     return context
 
 
@@ -47,12 +47,22 @@ def status_of(job: Callable[..., object], *arguments: object, patience_s: float 
     return process.exitcode
 
 
+def drawn(seed: int) -> np.ndarray:
+    """Some numbers."""
+    return np.random.default_rng(seed).normal(size=3000)
+
+
+def doubled(x: np.ndarray) -> dict[str, Any]:
+    """Twice as much."""
+    return {"sum": float(x.sum()), "x": x * 2}
+
+
 def work(out: Path) -> None:
     """Three stages, a table, a folder and a picture, as a run writes them."""
     with Store.open(out) as store:
-        first = store.stage("first", lambda: np.random.default_rng(1).normal(size=3000), options=1)
-        second = store.stage("second", lambda: {"sum": float(first.sum()), "x": first * 2}, after=["first"])
-        third = store.stage("third", lambda: np.repeat(second["x"], 2), after=["second"])
+        first = store.stage("first", drawn, 1)
+        second = store.stage("second", doubled, first)
+        third = store.stage("third", np.repeat, second["x"], 2)
         store.remove("summary.json")
         store.write_csv("cameras.csv", ("image", "x"), [{"image": "a", "x": value} for value in third[:3]])
         store.write_folder("colmap/air_0", lambda folder: [(folder / f"{k}").write_text(str(second)) for k in range(3)])

@@ -12,7 +12,7 @@ from skymoor.cli.main import main
 
 # Narrower and coarser than the defaults, to save time; the flight is 50 to 80 m above ground.
 SEARCH = ("min_height_m=46", "max_height_m=92", "search.template_px=96", "search.reference_px=384")
-OPTIONS = (*(f"match.{one}" for one in SEARCH), "match.decoys.count=2", "reconstruct.matcher.sift.max_features=2500")
+OPTIONS = (*(f"match.{one}" for one in SEARCH), "match.decoys.count=2", "engines.sift.max_features=2500")
 FASTER = tuple(word for one in OPTIONS for word in ("--set", one))
 SEED = 3
 

@@ -38,7 +38,7 @@ class ReferenceFiles:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """What one run works on. Image names are relative to `root`; `options` are as the user wrote them."""
+    """What one run works on. Image names are relative to `root`; `options` are as the user wrote them in `source`."""
 
     name: str
     root: Path
@@ -46,6 +46,7 @@ class Site:
     airborne: Path | None
     ground: tuple[Path, ...]
     options: dict[str, object] = field(default_factory=dict)
+    source: str = "command line"
 
 
 def load_site(
@@ -83,6 +84,7 @@ def load_site(
         airborne=_images(root, table["airborne"], where, "airborne") if "airborne" in table else None,
         ground=tuple(_images(root, entry, where, "ground") for entry in ground),
         options=_table(table.get("options", {}), where, "options"),
+        source=where,
     )
     if site.airborne is None and not site.ground:
         raise InputError(f"{where}: there are no images to place; add [airborne] with images = FOLDER")

@@ -53,7 +53,7 @@ class ColmapAlikedMatcher:
         if not hasattr(pycolmap.FeatureExtractionOptions(), "aliked"):
             raise BackendUnavailable(
                 "COLMAP's learned features: this build of pycolmap has no ONNX (those on PyPI have not); "
-                "build it with ONNX, or take reconstruct.matcher.kind = aliked, the same network in PyTorch"
+                "build it with ONNX, or take reconstruct.matcher = aliked, the same network in PyTorch"
             )
         names = ("aliked-n16rot.onnx", JOINED_BY[self.join])
         return tuple(find(NAME, name, Path(self.models) / name if self.models else "") for name in names)

@@ -12,10 +12,11 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from skymoor.types import Array32, Progress, no_progress
+
+BLOCK_PHOTOS = 64  # compared with one photo in one matrix product: large enough for BLAS, and no more memory is taken
 
 
 def exhaustive_pairs(n: int) -> list[tuple[int, int]]:
@@ -36,14 +37,15 @@ def preemptive_pairs(
     """
     n = len(descriptors)
     votes = np.zeros((n, n), np.int32)
-    tensors = [torch.from_numpy(np.ascontiguousarray(d)) for d in descriptors]
-    for i in range(n):
-        others = [j for j in range(i + 1, n) if len(tensors[j])]
-        if others and len(tensors[i]):
-            sizes = [len(tensors[j]) for j in others]
-            similarity = tensors[i] @ torch.cat([tensors[j] for j in others]).T
-            for j, block in zip(others, torch.split(similarity, sizes, dim=1), strict=True):
-                votes[i, j] = votes[j, i] = _mutual(block)
+    photos = [np.ascontiguousarray(one, np.float32) for one in descriptors]
+    for i, photo in enumerate(photos):
+        others = [j for j in range(i + 1, n) if len(photos[j])] if len(photo) else []
+        for start in range(0, len(others), BLOCK_PHOTOS):
+            block = others[start : start + BLOCK_PHOTOS]
+            similarity = photo @ np.concatenate([photos[j] for j in block]).T
+            ends = np.cumsum([len(photos[j]) for j in block])[:-1]
+            for j, part in zip(block, np.split(similarity, ends, axis=1), strict=True):
+                votes[i, j] = votes[j, i] = _mutual(part)
         progress(i + 1, n)
     return pairs_from_votes(votes, neighbours=neighbours, min_votes=min_mutual)
 
@@ -57,12 +59,15 @@ def pairs_from_votes(votes: NDArray[np.int32], *, neighbours: int, min_votes: in
     return sorted(pairs)
 
 
-def _mutual(similarity: torch.Tensor, ratio: float = 0.92) -> int:
+def _mutual(similarity: Array32, ratio: float = 0.92) -> int:
     """Mutual nearest neighbours whose angle is clearly below that to the second nearest."""
     if min(similarity.shape) < 2:
         return 0
-    best, forward = similarity.topk(2, dim=1)
-    backward = similarity.argmax(dim=0)
-    mutual = backward[forward[:, 0]] == torch.arange(len(forward))
-    angle = torch.arccos(best.clamp(-1, 1))
-    return int((mutual & (angle[:, 0] < ratio * angle[:, 1])).sum())
+    rows = np.arange(len(similarity))
+    forward, backward = similarity.argmax(axis=1), similarity.argmax(axis=0)
+    best = similarity[rows, forward]
+    others = similarity.copy()
+    others[rows, forward] = -np.inf
+    second = others.max(axis=1)
+    nearest, next_nearest = (np.arccos(np.clip(cosine, -1, 1)) for cosine in (best, second))
+    return int(np.count_nonzero((backward[forward] == rows) & (nearest < ratio * next_nearest)))

@@ -28,10 +28,10 @@ class RegisterOptions:
         correlation_m: matches closer than this repeat each other: they count once in the refusal.
         tilt_sigma_deg: how well the model is levelled beforehand; a weak observation that holds small models upright.
         min_inliers, min_inlier_ratio: fewer are a refusal (the ratio is the paper's).
-        min_cells: independent places that must agree.
+        min_cells: independent cells of `correlation_m` that must hold inliers.
         max_tilt_deg: a registration that tilts the level model by more is a refusal.
-        min_score, min_score_margin: of the placement search, see `judge`.
-        max_chance: probability that a picture which lies nowhere scores as much.
+        min_score, min_score_margin: of the match score, and over that of a competing hypothesis; see `decide`.
+        max_false_alarm: largest probability that a decoy scores as much.
         min_height_agreement: correlation of heights of the model and of the reference, where both have relief.
     """
 
@@ -44,7 +44,7 @@ class RegisterOptions:
     max_tilt_deg: float = 10.0
     min_score: float = 36.0
     min_score_margin: float = 1.3
-    max_chance: float = 0.005
+    max_false_alarm: float = 0.005
     min_height_agreement: float = 0.2
 
 
@@ -56,7 +56,7 @@ def register(
     rng: np.random.Generator,
     with_covariance: bool = True,
 ) -> Registration:
-    """The similarity that most matches agree on, its covariance and its residuals; not yet judged.
+    """The similarity that most matches agree on, its covariance and its residuals; not yet accepted or refused.
 
     `registered` is False only where no transform could be estimated. The covariance takes longer than all else; in a
     search it can be left out, see `with_covariance_of`.

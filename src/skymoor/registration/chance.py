@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a fit may be chance, and whether heights deny it."""
+"""Whether a match score is significant, and whether heights agree with it."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from skymoor.registration.relief import shared_heights
 from skymoor.types import Array32
 
 USUAL_SPREAD, USUAL_DECOYS = 0.12, 6
-"""Standard deviation of the logarithms of one picture's decoys, as measured, and how many decoys it counts as."""
+"""Standard deviation of the logarithms of one render's decoy scores, as measured, and how many decoys it counts as."""
 
 
-def chance_probability(score: float, decoys: Sequence[float]) -> float:
-    """How likely another picture that lies nowhere would score as much; 1 without decoys to compare with.
+def false_alarm_probability(score: float, decoys: Sequence[float]) -> float:
+    """How likely one more decoy would score as much; 1 without decoys to compare with.
 
-    The decoys' scores are taken for log-normal, their spread for a mean of what they show and of what is usual, so
-    that four decoys that happen to be alike do not promise too much (Student's predictive distribution).
+    The decoys' scores are modelled as log-normal; their spread is a weighted mean of the observed and the usual one,
+    so that four decoys that happen to be alike do not promise too much (Student's predictive distribution).
     """
     if not decoys or score <= 0:
         return 1.0

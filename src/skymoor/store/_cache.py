@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One stage's result in one file: an npz of its arrays and of a JSON text that says what they are."""
+"""One stage's result in one file: an npz of its arrays and of a JSON text that says what they are, and a checksum."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from skymoor.store._codec import decode, encode
 
 TREE = "tree"
 """Name of the JSON text among the arrays, which are called 0, 1, 2 ..."""
+CHECKSUM_BYTES = hashlib.sha256().digest_size
+"""Behind the npz, which readers of npz pass over: a flipped bit in an array would be read without complaint."""
 
 
 class Corrupt(Exception):
@@ -31,17 +34,25 @@ def write_cache(file: Path, record: object, value: object) -> None:
     text = np.frombuffer(json.dumps(tree, allow_nan=False).encode(), np.uint8)
     with atomic_file(file) as out:
         np.savez(out, **{TREE: text}, **{str(k): array for k, array in enumerate(arrays)})  # type: ignore[arg-type]
+        end = out.seek(0, 2)
+        checksum = _checksum(out, end)
+        out.seek(end)
+        out.write(checksum)
 
 
 def read_cache(file: Path) -> tuple[Any, Any]:
-    """(record, value). Raises `FileNotFoundError`, or `Corrupt` for anything that cannot be trusted.
-
-    The archive has a checksum of each array, which is compared as it is read: a flipped bit does not pass.
-    """
+    """(record, value). Raises `FileNotFoundError`, or `Corrupt` for anything that cannot be trusted."""
     try:
-        with np.load(file, allow_pickle=False) as stored:
-            tree = json.loads(stored[TREE].tobytes())
-            arrays = [stored[str(k)] for k in range(len(stored.files) - 1)]
+        with file.open("rb") as stored:
+            end = max(0, stored.seek(0, 2) - CHECKSUM_BYTES)
+            expected = _checksum(stored, end)
+            stored.seek(end)
+            if stored.read() != expected:
+                raise Corrupt("the checksum does not fit")
+            stored.seek(0)
+            with np.load(stored, allow_pickle=False) as found:
+                tree = json.loads(found[TREE].tobytes())
+                arrays = [found[str(k)] for k in range(len(found.files) - 1)]
         record, value = decode(tree, arrays)
     except FileNotFoundError:
         raise
@@ -50,3 +61,13 @@ def read_cache(file: Path) -> tuple[Any, Any]:
     except (AttributeError, ImportError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise Corrupt(str(error)) from error
     return record, value
+
+
+def _checksum(file: IO[bytes], end: int) -> bytes:
+    """SHA-256 of the first `end` bytes."""
+    total = hashlib.sha256()
+    file.seek(0)
+    while end > 0 and (block := file.read(min(end, 1 << 20))):
+        total.update(block)
+        end -= len(block)
+    return total.digest()

@@ -26,11 +26,15 @@ def defining_modules(function: Callable[..., object], values: Iterable[object] =
 
     Raises `ValueError` for a function without a name of its own, such as a lambda: what it captures is in no source.
     """
-    name = getattr(function, "__qualname__", type(function).__qualname__)
-    if "<" in name:
+    if "<" in (name := name_of(function)):
         raise ValueError(f"{name}: a stage is a function of a module, or a callable object, not a local function")
     home = getattr(function, "__module__", None) or type(function).__module__
     return frozenset([home, *(type(value).__module__ for value in values)])
+
+
+def name_of(function: Callable[..., object]) -> str:
+    """Of a function, or of the class of a callable object."""
+    return str(getattr(function, "__qualname__", getattr(function, "__name__", type(function).__qualname__)))
 
 
 def fingerprint(modules: Iterable[str]) -> str:

@@ -27,7 +27,7 @@ from PIL import Image
 from skymoor.errors import InputError
 from skymoor.store._atomic import atomic_file, atomic_folder, disk_errors, remove_leftovers
 from skymoor.store._cache import Corrupt, read_cache, write_cache
-from skymoor.store._closure import defining_modules, fingerprint
+from skymoor.store._closure import defining_modules, fingerprint, name_of
 from skymoor.store._digest import digest, parts_of
 from skymoor.store._files import FileDigests
 from skymoor.store._memory import peak_mib, reset_peak
@@ -160,9 +160,9 @@ class Store:
     ) -> str:
         parts = [part for value in (function, *given) for part in parts_of(value)]
         read = [self.files.stamps(value.ready()) for value in (function, *given) if hasattr(value, "ready")]
-        settings = function if is_dataclass(function) else getattr(function, "__qualname__", "")
+        settings = function if is_dataclass(function) else None
         code = fingerprint(defining_modules(function, parts))
-        return digest([code, settings, given, names, read, extra], self.files.sha256)
+        return digest([code, name_of(function), settings, given, names, read, extra], self.files.sha256)
 
     def _kept(self, name: str, key: str, compute: Callable[[], T]) -> T:
         """The result that is kept under this key, else that of `compute`, kept."""

@@ -3,18 +3,19 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from model.nerf.toy import PIXEL, ROOF, TINY, Toy, blind_half, blinded, cast, component_of, down_view, heights, texture
-from skymoor.errors import BackendUnavailable, DegenerateGeometry
+from skymoor.errors import BackendUnavailable, DegenerateGeometry, InputError
 from skymoor.model import NerfBuilder
 from skymoor.model.nerf.model import NerfModel
 from skymoor.model.nerf.uncertainty import reliability
 from skymoor.pipeline.option_parser import with_options
+from skymoor.store._cache import read_cache, write_cache
 from skymoor.types import Render, View
 
 VIEW = down_view()
@@ -130,9 +131,10 @@ def test_what_no_photo_sees_is_unknown(trained: NerfModel) -> None:
     assert not render.confidence.any()
 
 
-def test_a_model_survives_pickling(trained: NerfModel) -> None:
+def test_a_model_survives_the_cache(trained: NerfModel, tmp_path: Path) -> None:
     before = trained.render(down_view(size=40))
-    again = pickle.loads(pickle.dumps(trained)).render(down_view(size=40))
+    write_cache(tmp_path / "model.npz", None, trained)
+    again = read_cache(tmp_path / "model.npz")[1].render(down_view(size=40))
     np.testing.assert_array_equal(again.rgb, before.rgb)
     np.testing.assert_array_equal(again.confidence, before.confidence)
 
@@ -179,16 +181,13 @@ def test_cuda_that_is_missing_is_named(toy: Toy, monkeypatch: pytest.MonkeyPatch
 
 
 def test_options_by_their_names() -> None:
-    names = {"preset": "huge", "losses.ranking": 0.0, "small.rays": 512, "budget_s": 60, "prior.cell_px": 2.5}
-    builder = with_options(NerfBuilder(), names)
+    builder = with_options(NerfBuilder(), {"preset": "huge", "iterations": 512, "budget_s": 60})
     assert builder.sizes.appearance == 32
     assert builder.colours == "field"
-    assert (builder.losses.ranking, builder.small.rays, builder.budget_s, builder.prior.cell_px) == (
-        0.0,
-        512,
-        60.0,
-        2.5,
-    )
+    assert (builder.sizes.iterations, builder.budget_s) == (512, 60.0)
+    assert NerfBuilder().sizes == NerfBuilder().small
+    with pytest.raises(InputError, match="no option losses"):
+        with_options(NerfBuilder(), {"losses.ranking": 0.0})
     assert NerfBuilder().colours == "blend"
     with pytest.raises(ValueError, match="not negative"):
         replace(NerfBuilder().losses, depth=-1.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pairs of photo and tile say, and the one similarity that most of them agree on."""
+"""Matches of photos with tiles, and the one similarity that most of them agree on."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from skymoor.ground.tiles.icp import IcpOptions, IcpResult, refine_icp
 from skymoor.ground.tiles.images import AirborneTiles, GroundPhoto, PictureOptions, lift_pair
 from skymoor.match import CyclicOptions, DenseMatcher, cyclic_matches
 from skymoor.registration import RegisterOptions, independent_cells, register, restated
-from skymoor.types import Array, Mask, Matches3D, Registration, Warp
+from skymoor.registration.criteria import ESTIMATE, criterion, with_criteria
+from skymoor.types import Array, Criterion, Mask, Matches3D, Registration, Warp
 
 
 @dataclass(frozen=True)
 class ConsensusOptions:
-    """From matches to one similarity per component, and when not to believe it.
+    """From matches to one similarity per component, and when it is accepted.
 
     Attributes:
         best_tiles: tiles per photo, by number of matches, whose own transform is a hypothesis (the paper's k).
@@ -158,16 +159,17 @@ class Evidence:
     def conclude(
         self, pairs: Sequence[PairEvidence], hypotheses: Sequence[Similarity], *, with_icp: bool = True
     ) -> Registration:
-        """The hypothesis that explains most matches of all pairs, refitted to them, laid on the surface, and judged."""
+        """The hypothesis that explains most matches of all pairs, refitted to them, fitted to the surface, and decided."""
         o, pool = self.options, Pool.of(pairs)
+        found_any = criterion("tile_hypotheses", len(hypotheses), 1)
         if not hypotheses:
-            reason = f"none of {len(pairs)} pairs of photo and tile suggests where the model stands"
-            return _refused(reason, pool)
+            return with_criteria(_unplaced(pool, {"pairs": float(len(pairs))}), [found_any])
         scores = np.array([np.count_nonzero(pool.gaps_m(h) <= o.inlier_m) for h in hypotheses])
         best = int(np.argmax(scores))
         found = self._refitted(hypotheses[best], pool, with_covariance=with_icp)
+        estimated = [found_any, criterion(ESTIMATE, found.registered, 1)]
         if found.enu_from_level is None:
-            return found
+            return with_criteria(found, estimated)
         placed = found.enu_from_level
         icp = self._icp(placed, pool) if with_icp else None
         if icp is not None and icp.helped:
@@ -176,7 +178,8 @@ class Evidence:
         score = int(np.count_nonzero(pool.gaps_m(placed) <= o.inlier_m))
         counts = {"score": float(score), "second_score": float(max(elsewhere, default=0)), **_told(icp)}
         counts["photos_agree"] = float(len(self.supporters(placed, pool)))
-        return self._judged(replace(found, enu_from_level=placed), Pool.of(self.best_pairs(pairs)), counts)
+        found = self._restated(replace(found, enu_from_level=placed), Pool.of(self.best_pairs(pairs)), counts)
+        return with_criteria(found, [*estimated, *_criteria(found, o)])
 
     def supporters(self, placed: Similarity, pool: Pool) -> NDArray[np.intp]:
         """The photos with enough inliers."""
@@ -186,7 +189,7 @@ class Evidence:
 
     def _refitted(self, start: Similarity, pool: Pool, *, with_covariance: bool) -> Registration:
         """Fitted to the matches near it, then to those near the fit."""
-        placed, found = start, _refused("no match is near the best transform", pool)
+        placed, found = start, _unplaced(pool, {})
         for round_ in range(2):
             near = pool.take(pool.gaps_m(placed) <= 1.5 * self.options.inlier_m)
             found = register(
@@ -217,15 +220,13 @@ class Evidence:
             return replace(found, target_from_source=placed, reason="the matches contradict it")
         return found
 
-    def _judged(self, found: Registration, pool: Pool, counts: dict[str, float]) -> Registration:
-        """The registration with what the matches of each photo's best tiles say of it."""
+    def _restated(self, found: Registration, pool: Pool, counts: dict[str, float]) -> Registration:
+        """The registration with inliers and residuals of the matches of each photo's best tiles."""
         o, placed = self.options, found.enu_from_level
         assert placed is not None
         found = restated(found, placed, pool.matches, o.inlier_m)
         cells = independent_cells(pool.matches.xyz_enu[found.inliers], o.cell_m)
-        found = replace(found, diagnostics={**counts, "cells": float(cells)})
-        reason = next((reason for refused, reason in _reasons(found, o) if refused), "")
-        return replace(found, registered=not reason, reason=reason)
+        return replace(found, diagnostics={**counts, "cells": float(cells)})
 
 
 def evidence_of(
@@ -243,31 +244,20 @@ def evidence_of(
     return Evidence(photos, airborne, matcher, options, probes, rng)
 
 
-def _reasons(found: Registration, o: ConsensusOptions) -> list[tuple[bool, str]]:
+def _criteria(found: Registration, o: ConsensusOptions) -> list[Criterion]:
+    """What is asked of a transform that was estimated."""
     d = found.diagnostics
     return [
-        (
-            found.inlier_ratio < o.min_inlier_ratio,
-            f"only {found.inlier_ratio:.0%} of the matches agree, {o.min_inlier_ratio:.0%} are needed",
-        ),
-        (
-            d["photos_agree"] < o.min_photos,
-            f"{d['photos_agree']:.0f} photos agree on the best place, {o.min_photos} are needed",
-        ),
-        (
-            d["score"] < o.min_margin * d["second_score"],
-            f"another place is nearly as good: {d['second_score']:.0f} inliers, the best has {d['score']:.0f}",
-        ),
-        (d["cells"] < o.min_cells, f"matches agree in {d['cells']:.0f} places only, {o.min_cells} are needed"),
-        (
-            found.tilt_deg > o.max_tilt_deg,
-            f"the level model would have to tilt by {found.tilt_deg:.1f} degrees",
-        ),
+        criterion("inlier_ratio", found.inlier_ratio, o.min_inlier_ratio),
+        criterion("agreeing_photos", d["photos_agree"], o.min_photos),
+        criterion("competing_inliers", d["score"], o.min_margin * d["second_score"]),
+        criterion("cells", d["cells"], o.min_cells),
+        criterion("tilt", found.tilt_deg, o.max_tilt_deg),
     ]
 
 
-def _refused(reason: str, pool: Pool) -> Registration:
-    return Registration(registered=False, reason=reason, enu_from_level=None, n_matches=len(pool.matches))
+def _unplaced(pool: Pool, diagnostics: dict[str, float]) -> Registration:
+    return Registration(False, "", None, n_matches=len(pool.matches), diagnostics=diagnostics)
 
 
 def _told(icp: IcpResult | None) -> dict[str, float]:

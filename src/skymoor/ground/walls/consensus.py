@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many guesses about where a ground model stands, from single walls, to the one that is believed, or to none."""
+"""Hypotheses about where a ground model stands, from single walls, to the one that is accepted, or to none."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from math import sqrt
 import numpy as np
 
 from skymoor.geometry import Similarity
-from skymoor.types import Array, Registration
+from skymoor.registration.criteria import ESTIMATE, criterion, with_criteria
+from skymoor.types import Array, Criterion, Registration
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,14 +111,14 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class JudgeOptions:
-    """When not to believe the best answer.
+class AcceptanceOptions:
+    """When the best hypothesis is accepted.
 
     Attributes:
-        min_contrast: see `Candidate`; docs/benchmarks.md has what right and wrong answers reach.
-        min_margin: by which the best contrast must exceed that of the best answer elsewhere.
-        min_rivals, lone_contrast: with fewer answers elsewhere to compare with, the contrast itself must be so high.
-        apart_m: answers are elsewhere if they put the model's probes at least this far, on average.
+        min_contrast: see `Candidate`; docs/benchmarks.md has what right and wrong hypotheses reach.
+        min_margin: by which the best contrast must exceed that of the best hypothesis elsewhere.
+        min_rivals, lone_contrast: with fewer hypotheses elsewhere to compare with, the contrast itself must be so high.
+        apart_m: hypotheses are elsewhere if they put the model's probes at least this far, on average.
         min_inlier_ratio: of the dense matches (the paper's).
         min_cells, cell_m: cubes in space that hold inliers: neighbouring matches repeat each other.
         max_tilt_deg: by which the registration may tilt the levelled model.
@@ -139,19 +140,21 @@ class JudgeOptions:
     max_blocked: float = 0.05
 
 
-def judge_ground(candidates: Sequence[Candidate], probes: Array, options: JudgeOptions | None = None) -> Registration:
-    """The registration of the best candidate, or the same with `registered` False and the first reason against it.
+def decide_ground(
+    candidates: Sequence[Candidate], probes: Array, options: AcceptanceOptions | None = None
+) -> Registration:
+    """The registration of the best candidate with all criteria that it was asked, accepted or refused.
 
     Args:
-        candidates: refined answers, the best one first, some of them of the same place.
+        candidates: refined hypotheses, the best one first, some of them of the same position.
         probes: points (n, 3) of the model; see `pool_guesses`.
         options: thresholds.
     """
-    options = options or JudgeOptions()
+    options = options or AcceptanceOptions()
+    found_any = criterion("wall_hypotheses", len(candidates), 1)
     if not candidates:
-        reason = "no wall of the model fits any wall of the airborne model"
-        return Registration(registered=False, reason=reason, enu_from_level=None)
-    # What people cannot have done is neither an answer nor another one that is nearly as good.
+        return with_criteria(Registration(registered=False, reason="", enu_from_level=None), [found_any])
+    # Cameras in the air or behind walls make neither the best hypothesis nor a competing one.
     possible = [c for c in candidates if _possible(c, options)] or list(candidates)
     best, found = possible[0], possible[0].registration
     placed = best.enu_from_level
@@ -173,42 +176,30 @@ def judge_ground(candidates: Sequence[Candidate], probes: Array, options: JudgeO
         "cells": float(best.cells),
     }
     needed = options.min_contrast if len(compared) >= options.min_rivals else options.lone_contrast
-    for refused, reason in _reasons(best, second, needed, options):
-        if refused:
-            return replace(found, registered=False, reason=reason, diagnostics=diagnostics)
-    return replace(found, diagnostics=diagnostics)
+    criteria = [found_any, *_criteria(best, second, needed, options)]
+    return with_criteria(replace(found, diagnostics=diagnostics), criteria)
 
 
-def _reasons(best: Candidate, second: float, needed: float, options: JudgeOptions) -> list[tuple[bool, str]]:
-    found = best.registration
+def _criteria(best: Candidate, second: float, needed: float, options: AcceptanceOptions) -> list[Criterion]:
+    found, of_matches = best.registration, []
+    if found.registered:
+        of_matches = [
+            criterion("inlier_ratio", found.inlier_ratio, options.min_inlier_ratio),
+            criterion("cells", best.cells, options.min_cells),
+            criterion("tilt", found.tilt_deg, options.max_tilt_deg),
+        ]
     return [
-        (not found.registered, found.reason),
-        (
-            best.contrast < needed,
-            f"the photos agree with the airborne walls by {best.contrast:.1f}, {needed:.0f} is needed",
-        ),
-        (
-            best.contrast < options.min_margin * second,
-            f"another place is nearly as good: it has a contrast of {second:.1f}, the best {best.contrast:.1f}",
-        ),
-        (
-            found.inlier_ratio < options.min_inlier_ratio,
-            f"only {found.inlier_ratio:.0%} of the matches agree, {options.min_inlier_ratio:.0%} are needed",
-        ),
-        (best.cells < options.min_cells, f"matches agree in {best.cells} places only, {options.min_cells} are needed"),
-        (
-            found.tilt_deg > options.max_tilt_deg,
-            f"the level model would have to tilt by {found.tilt_deg:.1f} degrees",
-        ),
-        (
-            not options.min_height_m <= best.height_m <= options.max_height_m,
-            f"the cameras would stand {best.height_m:.1f} m above the ground",
-        ),
-        (best.blocked > options.max_blocked, f"{best.blocked:.0%} of the viewing rays would cross walls"),
+        criterion(ESTIMATE, found.registered, 1),
+        criterion("contrast", best.contrast, needed),
+        criterion("competing_contrast", best.contrast, options.min_margin * second),
+        *of_matches,
+        criterion("min_camera_height", best.height_m, options.min_height_m),
+        criterion("max_camera_height", best.height_m, options.max_height_m),
+        criterion("blocked", best.blocked, options.max_blocked),
     ]
 
 
-def _possible(candidate: Candidate, options: JudgeOptions) -> bool:
+def _possible(candidate: Candidate, options: AcceptanceOptions) -> bool:
     """Whether the cameras stand on the ground and look at what nothing hides."""
     stands = options.min_height_m <= candidate.height_m <= options.max_height_m
     return stands and candidate.blocked <= options.max_blocked

@@ -17,7 +17,7 @@ def choose_device(name: str) -> torch.device:
     """`auto` takes CUDA where there is one. Raises `BackendUnavailable` when CUDA is asked for and missing."""
     found = torch.cuda.is_available()
     if name == "cuda" and not found:
-        raise BackendUnavailable("model.nerf.device = cuda, but PyTorch sees no CUDA device: take cpu or auto")
+        raise BackendUnavailable("engines.device = cuda, but PyTorch sees no CUDA device: take cpu or auto")
     return torch.device("cuda" if name == "cuda" or (name == "auto" and found) else "cpu")
 
 
