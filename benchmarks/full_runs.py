@@ -87,7 +87,7 @@ def case(folder: Path, preset: str, seed: int) -> tuple[dict[str, Any], dict[str
         "within_relative_le90": float(np.mean(np.abs(relative[:, 2]) <= predicted[:, 3])),
         "nees_relative": float(found["relative"].mean() / 3),
         "nees_absolute": float(found["absolute"].mean() / 3),
-        "chance_probability": result.components[0].summary["diagnostics"].get("chance_probability"),
+        "false_alarm_probability": result.components[0].summary["diagnostics"].get("false_alarm_probability"),
     }
     return row, found
 

@@ -5,7 +5,7 @@
 
 Each RUN is the folder of a case of `paper_tables.py`: a simulated site and its finished run, whose depth maps and walls
 are used. An answer is right if it puts the component's cameras within `RIGHT_M` of where they are (median). The table
-has, for right and for wrong answers, what the decision rests on. Answers are kept in FOLDER, and those there are not
+has, for right and for wrong answers, what the decision rests on. Hypotheses are kept in FOLDER, and those there are not
 computed again: start it in the background, and again after a stop.
 """
 
@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from paper_tables import provenance
 
 from skymoor.geo import EnuFrame
-from skymoor.ground.walls import AirborneWalls, WallAnswers, search_ground
+from skymoor.ground.walls import AirborneWalls, WallHypotheses, search_ground
 from skymoor.results.tables import read_truth_csv
 from skymoor.store._cache import read_cache
 from skymoor.types import DepthMap
@@ -75,19 +75,21 @@ def components(runs: list[Path]) -> list[tuple[Path, int, list[DepthMap]]]:
     return [(run, k, maps) for run, k, maps in found if maps]
 
 
-def searched(file: Path, maps: list[DepthMap], walls: AirborneWalls) -> tuple[WallAnswers, float]:
+def searched(file: Path, maps: list[DepthMap], walls: AirborneWalls) -> tuple[WallHypotheses, float]:
     """The answers, from the file if it is there, and what they cost."""
     if not file.exists():
         started = time.process_time()
         answers = search_ground(maps, walls, rng=np.random.default_rng(0))
         file.write_bytes(pickle.dumps((answers, time.process_time() - started)))
-    found: tuple[WallAnswers, float] = pickle.loads(file.read_bytes())
+    found: tuple[WallHypotheses, float] = pickle.loads(file.read_bytes())
     return found
 
 
-def row(run: Path, k: int, maps: list[DepthMap], other: Path, answers: WallAnswers, seconds: float) -> dict[str, Any]:
+def row(
+    run: Path, k: int, maps: list[DepthMap], other: Path, answers: WallHypotheses, seconds: float
+) -> dict[str, Any]:
     """One component on one airborne model: the decision, and each answer with how far off it is."""
-    found = answers.judged()
+    found = answers.decide()
     off = [None] * len(answers.places) if other != run else offsets_m(run, maps, answers)
     contrasts = [round(candidate.contrast, 2) for candidate in answers.candidates]
     wrong = [c for c, m in zip(contrasts, off, strict=True) if m is None or m > RIGHT_M]
@@ -110,7 +112,7 @@ def row(run: Path, k: int, maps: list[DepthMap], other: Path, answers: WallAnswe
     }
 
 
-def offsets_m(run: Path, maps: list[DepthMap], answers: WallAnswers) -> list[float | None]:
+def offsets_m(run: Path, maps: list[DepthMap], answers: WallHypotheses) -> list[float | None]:
     """Median distance of the cameras from the truth, without the reference's bias, of each answer."""
     truth = json.loads((run / "site/truth.json").read_text())
     origin = json.loads((run / "result/summary.json").read_text())["enu_origin"]

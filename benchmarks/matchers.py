@@ -36,8 +36,8 @@ from skymoor.match import (
     RomaMatcher,
     StructuralMatcher,
     TinyRomaMatcher,
-    match_placed,
-    search_placements,
+    match_hypothesis,
+    search_hypotheses,
 )
 from skymoor.match.flow import warp_from_pairs
 from skymoor.types import Matches2D, Raster, Warp
@@ -109,8 +109,8 @@ def measured(folder: Path, line: dict[str, str], left_out: dict[str, str]) -> li
     marks = np.loadtxt(folder / f"{line['pair']}.csv", delimiter=",", skiprows=1, usecols=(0, 1, 2, 3)) - 0.5
     similarity, _ = cv2.estimateAffinePartial2D(marks[:, :2].copy(), marks[:, 2:].copy(), method=cv2.LMEDS)
     laid = {"laid": disturbed(np.asarray(similarity, np.float64), a.mask.shape)}
-    for placement in search_placements(a, b, min_scale=0.5, max_scale=2.0)[:1]:
-        laid["searched"] = placement.matrix(a.mask.shape)
+    for hypothesis in search_hypotheses(a, b, min_scale=0.5, max_scale=2.0)[:1]:
+        laid["searched"] = hypothesis.matrix(a.mask.shape)
     rows = []
     for matcher in MATCHERS:
         name = type(matcher).__name__
@@ -130,7 +130,7 @@ def measured(folder: Path, line: dict[str, str], left_out: dict[str, str]) -> li
 def one(matcher: DenseMatcher, a: Raster, b: Raster, b_from_a: Array, marks: Array) -> dict[str, Any]:
     """Figures of one matcher on one pair, laid so."""
     start = time.perf_counter()
-    matches, _ = match_placed(a, b, b_from_a, matcher, rng=np.random.default_rng(0))
+    matches, _ = match_hypothesis(a, b, b_from_a, matcher, rng=np.random.default_rng(0))
     seconds = time.perf_counter() - start
     error, share = landmark_error(matches, marks)
     return {

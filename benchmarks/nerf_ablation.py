@@ -77,8 +77,8 @@ def main() -> None:
     truth = json.loads((options.site / "truth.json").read_text())
     site = Site(options.site, None, np.zeros(3), np.eye(3))  # type: ignore[arg-type]
     enu_from_level = true_enu_from_sfm(_Cameras([m.camera for m in maps]), site.cameras.values())  # type: ignore[arg-type]
-    true_maps = [true_depth(scene, m.camera.moved(enu_from_level)) for m in maps]
-    labels = [true_labels(scene, m.camera.moved(enu_from_level)) for m in maps]
+    true_maps = [true_depth(scene, m.camera.transformed(enu_from_level)) for m in maps]
+    labels = [true_labels(scene, m.camera.transformed(enu_from_level)) for m in maps]
     rows = []
     for case in cases(options.iterations):
         used = blind_roofs(maps, labels) if case.blind_roofs else maps

@@ -29,14 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.geometry import Similarity, umeyama
-from skymoor.match import DecoyOptions, Placement, SearchOptions, match_placed
+from skymoor.match import DecoyOptions, ImageHypothesis, SearchOptions, match_hypothesis
 from skymoor.match.decoys import made_decoys, mirrored
 from skymoor.match.search import Sized, search_in
 from skymoor.pipeline.options import Options
-from skymoor.pipeline.overlay import lay_on_reference, nadir_raster, reference_raster
+from skymoor.pipeline.overlay import nadir_raster, reference_raster, warp_to_reference
 from skymoor.pipeline.site import load_site
 from skymoor.reference.read import read_reference
-from skymoor.registration import chance_probability, height_agreement, judge, lift, register
+from skymoor.registration import false_alarm_probability, height_agreement, judge, lift, register
 from skymoor.types import Raster, Reference, Registration, Render, View, no_progress
 
 Array = NDArray[np.float64]
@@ -135,24 +135,24 @@ def as_render(decoy: Raster, view: View) -> Render:
 
 
 def believed(
-    render: Render, places: list[Placement], chance: list[float], reference: Reference, rng: np.random.Generator
+    render: Render, places: list[ImageHypothesis], chance: list[float], reference: Reference, rng: np.random.Generator
 ) -> Registration:
     """A found place matched, registered and judged as in the product; not matched where chance says all."""
     scores = [place.score for place in places]
-    probability = chance_probability(scores[0], chance)
+    probability = false_alarm_probability(scores[0], chance)
     if probability > CERTAINLY_REFUSED:
-        diagnostics = {"search_score": scores[0], "chance_probability": probability}
+        diagnostics = {"search_score": scores[0], "false_alarm_probability": probability}
         return Registration(registered=False, reason="chance", enu_from_level=None, diagnostics=diagnostics)
     match = OPTIONS.match
     picture, target = nadir_raster(render, match.min_height_confidence), reference_raster(reference)
     matrix = places[0].matrix(picture.mask.shape)
-    pairs, _ = match_placed(picture, target, matrix, match.dense.engine, match.cyclic, rng=rng)
+    pairs, _ = match_hypothesis(picture, target, matrix, match.dense.engine, match.cyclic, rng=rng)
     metres_per_level = places[0].scale * reference.grid.pixel_m / render.view.pixel
     matches = lift(pairs, render, reference, metres_per_level, OPTIONS.lift)
     found = register(matches, reference.grid.pixel_m, OPTIONS.register, rng=rng, with_covariance=False)
     heights = None
     if found.registered:
-        _, up = lay_on_reference(render, found, reference, match.min_height_confidence)
+        _, up = warp_to_reference(render, found, reference, match.min_height_confidence)
         heights = height_agreement(up, reference.height, reference.grid.pixel_m)
     return judge(found, scores, len(pairs), OPTIONS.register, decoys=chance, heights=heights)
 
@@ -223,7 +223,7 @@ def main() -> None:
     print(json.dumps(told(rows), indent=1))
 
 
-KEYS = ("search_score", "second_score", "decoy_score", "chance_probability", "height_agreement", "cells")
+KEYS = ("search_score", "second_score", "decoy_score", "false_alarm_probability", "height_agreement", "cells")
 
 
 def told(rows: list[dict[str, object]]) -> dict[str, object]:
@@ -239,7 +239,7 @@ def told(rows: list[dict[str, object]]) -> dict[str, object]:
 
     roc = []
     for limit in (0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001, 1e-4):
-        passed = [[float(r["chance_probability"] or 1.0) <= limit for r in part] for part in (own, wrong, decoyed)]  # type: ignore[arg-type]
+        passed = [[float(r["false_alarm_probability"] or 1.0) <= limit for r in part] for part in (own, wrong, decoyed)]  # type: ignore[arg-type]
         roc.append([limit, *(float(np.mean(p)) if p else None for p in passed)])
     return {
         "true cases": len(own),

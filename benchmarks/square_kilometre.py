@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time and verdict of the placement search in a square kilometre of distractors.
+"""Time and verdict of the hypothesis search in a square kilometre of distractors.
 
     python benchmarks/square_kilometre.py RUN SITE.toml [OTHER_ORTHO OTHER_DSM]
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skymoor.match import search_placements
+from skymoor.match import search_hypotheses
 from skymoor.pipeline.site import load_site
 from skymoor.reference.read import read_reference
 from skymoor.types import Raster, Reference
@@ -38,7 +38,7 @@ def main() -> None:
     mosaic, corner = make_mosaic(own, pieces, np.random.default_rng(1))
     per_metre = pixel / own.grid.pixel_m
     start = time.perf_counter()
-    found = search_placements(picture, mosaic, min_scale=20 * per_metre, max_scale=200 * per_metre)
+    found = search_hypotheses(picture, mosaic, min_scale=20 * per_metre, max_scale=200 * per_metre)
     print(f"{mosaic.mask.shape} pixels of {own.grid.pixel_m:.2f} m: {time.perf_counter() - start:.1f} s")
     for p in found[:3]:
         u, v = np.array(p.place) - corner

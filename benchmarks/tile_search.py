@@ -134,7 +134,7 @@ def ground_components(run: Path) -> Iterator[Ground]:
         if len(maps) < MIN_MAPS:
             print(f"{run.name} {number}: {len(component.cameras)} cameras, {len(maps)} depth maps", flush=True)
             continue
-        cameras = component.moved(laid(component.cameras, {m.camera.image: m.camera for m in maps})).cameras
+        cameras = component.transformed(laid(component.cameras, {m.camera.image: m.camera for m in maps})).cameras
         lenses = {camera.image: camera for camera in cameras}
         shown = [true_points(scene, m, lenses[m.camera.image], site.cameras[m.camera.image]) for m in maps]
         centres = np.array([site.cameras[camera.image].centre for camera in cameras])

@@ -41,7 +41,7 @@ def test_importing_costs_nothing() -> None:
     assert "skymoor" in loaded and loaded.isdisjoint(LEARNED)
 
 
-@pytest.mark.parametrize("first", ["", "import skymoor.pipeline.airborne;", "from skymoor.register import judge;"])
+@pytest.mark.parametrize("first", ["", "import skymoor.pipeline.airborne;", "from skymoor.registration import decide;"])
 def test_the_name_of_the_stage_stays_with_the_function(first: str) -> None:
     ask = f"{first}import skymoor; print(callable(skymoor.register), skymoor.registration.__module__)"
     done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from skymoor.errors import InputError, TooFewMatches
-from skymoor.match import CyclicOptions, DenseMatcher, SearchOptions, StructuralMatcher, match_placed
+from skymoor.match import CyclicOptions, DenseMatcher, SearchOptions, StructuralMatcher, match_hypothesis
 from skymoor.match.decoys import decoy_scores
-from skymoor.match.search import search_placements
+from skymoor.match.search import search_hypotheses
 from skymoor.orient import estimate_gravity, level_from_gravity
 from skymoor.pipeline.airborne import register_airborne
 from skymoor.pipeline.estimate import Step, estimate_run
@@ -28,10 +28,10 @@ from skymoor.pipeline.provenance import provenance
 from skymoor.pipeline.site import Site, load_site, site_from_arguments
 from skymoor.reference.raster import raster_files
 from skymoor.reference.read import read_reference
-from skymoor.registration.chance import chance_probability
+from skymoor.registration.significance import false_alarm_probability
 from skymoor.results.read import Result
 from skymoor.results.report.write import write_report
-from skymoor.results.write import PlacedSet, write_products
+from skymoor.results.write import SetResult, write_products
 from skymoor.store import PRODUCTS, Store, check_photos, has_metadata, name_prefix
 from skymoor.types import Array, Component, Matches2D, Progress, Raster, no_progress
 
@@ -99,7 +99,7 @@ def register(
         placed += register_ground_sets(jobs[1:], placed[0])
         folders = _folders(loaded)
         sets = [
-            PlacedSet(job.name, at, job.photos.names, one) for job, at, one in zip(jobs, folders, placed, strict=True)
+            SetResult(job.name, at, job.photos.names, one) for job, at, one in zip(jobs, folders, placed, strict=True)
         ]
         rasters = (loaded.reference.ortho, loaded.reference.dsm)
         made_from = provenance(rasters, {job.name: job.photos for job in jobs}, weights, store)
@@ -174,15 +174,15 @@ def match_rasters(
         TooFewMatches: b is too small to hold a at any scale.
     """
     common: dict[str, Any] = {"min_scale": min_scale, "max_scale": max_scale, "options": options}
-    placements = search_placements(a, b, **common, progress=progress)
-    if not placements:
+    hypotheses = search_hypotheses(a, b, **common, progress=progress)
+    if not hypotheses:
         raise TooFewMatches("the raster that is searched is too small to hold the other at any scale")
-    best = placements[0]
+    best = hypotheses[0]
     null = decoy_scores(a, b, **common, rng=np.random.default_rng(seed))
     b_from_a, rng = best.matrix(a.mask.shape), np.random.default_rng(seed)
-    matches, _ = match_placed(a, b, b_from_a, matcher or StructuralMatcher(), cyclic, rng=rng)
-    azimuth_deg = float(np.degrees(best.heading_rad) % 360)
-    probability = chance_probability(best.score, null)
+    matches, _ = match_hypothesis(a, b, b_from_a, matcher or StructuralMatcher(), cyclic, rng=rng)
+    azimuth_deg = float(np.degrees(best.azimuth_rad) % 360)
+    probability = false_alarm_probability(best.score, null)
     return RasterMatch(b_from_a, best.scale, azimuth_deg, best.score, tuple(null), probability, matches)
 
 
@@ -193,7 +193,7 @@ def level_component(component: Component, *, seed: int = 0) -> Component:
         DegenerateGeometry: its points and cameras do not determine up.
     """
     gravity = estimate_gravity(component, rng=np.random.default_rng(seed))
-    return component.moved(level_from_gravity(component, gravity))
+    return component.transformed(level_from_gravity(component, gravity))
 
 
 def site_of(

@@ -19,7 +19,7 @@ class DegenerateGeometry(SkymoorError):
 
 
 class NotRegistered(SkymoorError):
-    """A model could not be placed, or the placement is not believed (exit status 3)."""
+    """A model could not be placed, or the hypothesis is not believed (exit status 3)."""
 
 
 class BackendUnavailable(SkymoorError):

@@ -67,7 +67,7 @@ class Camera:
         """Projection centre in the world frame, (3,)."""
         return self.cam_from_world.inverse().translation
 
-    def moved(self, target_from_world: Similarity) -> Camera:
+    def transformed(self, target_from_world: Similarity) -> Camera:
         """Express the camera in another frame; the similarity's scale moves the centre only."""
         rotation = self.cam_from_world.rotation @ target_from_world.rotation.T
         centre = target_from_world.apply(self.centre)
@@ -132,9 +132,9 @@ class Component:
             centre_covariances=None if self.centre_covariances is None else self.centre_covariances[keep],
         )
 
-    def moved(self, target_from_world: Similarity) -> Component:
+    def transformed(self, target_from_world: Similarity) -> Component:
         """Express the component in another frame."""
-        cameras = tuple(camera.moved(target_from_world) for camera in self.cameras)
+        cameras = tuple(camera.transformed(target_from_world) for camera in self.cameras)
         covariances = self.centre_covariances
         if covariances is not None:
             turn = target_from_world.scale * target_from_world.rotation

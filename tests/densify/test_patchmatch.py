@@ -12,7 +12,7 @@ import pycolmap
 import pytest
 from numpy.typing import NDArray
 
-from skymoor.densify import PatchMatchDepth, blind_map, read_colmap_depth
+from skymoor.densify import PatchMatchDepth, empty_depth_map, read_colmap_depth
 from skymoor.densify._patchmatch import write_workspace
 from skymoor.densify.consistency import confirmed
 from skymoor.densify.neighbours import stereo_partners
@@ -131,7 +131,7 @@ class TestConfirmation:
 def blind(camera: Camera) -> Camera:
     """Its pinhole camera."""
     photo = Photos((camera.image,), ((400, 300),), lambda _: np.zeros((300, 400, 3), np.uint8))
-    return blind_map(camera, photo, 400).camera
+    return empty_depth_map(camera, photo, 400).camera
 
 
 STAND_IN = """#!{python}
@@ -234,7 +234,7 @@ def assert_right(one: DepthMap) -> None:
 
 def test_the_workspace_is_one_that_colmap_reads(component: Component, photos: Photos, tmp_path: Path) -> None:
     """COLMAP itself, on the CPU, fuses exact depth maps in it to points on the ground."""
-    views = [(m.camera, m.rgb) for m in (blind_map(camera, photos, 400) for camera in component.cameras)]
+    views = [(m.camera, m.rgb) for m in (empty_depth_map(camera, photos, 400) for camera in component.cameras)]
     partners = stereo_partners(component, count=4, best_angle_deg=14, max_angle_deg=35)
     write_workspace(tmp_path / "dense", component, views, partners)
     for k, (camera, _) in enumerate(views):

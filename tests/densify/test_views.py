@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from skymoor.densify import blind_map
+from skymoor.densify import empty_depth_map
 from skymoor.densify.views import reduced, undistorted
 from skymoor.geometry import Intrinsics, Similarity
 from skymoor.store import Store
@@ -54,7 +54,7 @@ def test_a_photo_without_depth_is_as_large_as_one_with(tmp_path: Path) -> None:
         cv2.imwrite(str(folder / f"{name}.png"), dotted())
     with Store.open(tmp_path / "run") as store:
         photos = store.photos("photos", folder, folder)
-        found = blind_map(CAMERA, photos, 80)
+        found = empty_depth_map(CAMERA, photos, 80)
     assert found.depth.shape == (60, 80) == found.rgb.shape[:2]
     assert np.isnan(found.depth).all()
     assert not any(found.camera.intrinsics.distortion)

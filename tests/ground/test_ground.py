@@ -16,9 +16,9 @@ from skymoor.ground.walls import (
     GroundOptions,
     PoolOptions,
     airborne_walls,
-    hear_cameras,
-    moved_map,
+    check_poses_on_walls,
     search_ground,
+    transformed_depth_map,
 )
 from skymoor.types import Camera, DepthMap
 from support.houses import centres, from_the_air, houses, walk_round
@@ -37,12 +37,12 @@ def floated(maps: list[DepthMap], *, tilt_deg: float = 0.6) -> tuple[list[DepthM
     """Maps in a frame of their own, level but for a tilt, a unit near the cameras' height; and the way back."""
     rotation = Rotation.from_euler("z", 130, degrees=True) * Rotation.from_euler("x", tilt_deg, degrees=True)
     level_from_enu = Similarity(1 / 1.75, rotation.as_matrix(), np.array([40.0, -7.0, 3.0]))
-    return [moved_map(depth_map, level_from_enu) for depth_map in maps], level_from_enu.inverse()
+    return [transformed_depth_map(depth_map, level_from_enu) for depth_map in maps], level_from_enu.inverse()
 
 
 def test_a_walk_is_laid_where_it_was(walls: AirborneWalls) -> None:
     maps, enu_from_level = floated(walk_round(houses(SITE), HOUSE))
-    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).judged()
+    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).decide()
     assert found.registered, found.reason
     assert found.enu_from_level is not None
     gaps = found.enu_from_level.apply(centres(maps)) - enu_from_level.apply(centres(maps))
@@ -60,7 +60,7 @@ def test_windows_without_depth_do_not_matter(walls: AirborneWalls) -> None:
         for m in walk_round(houses(SITE), HOUSE)
     ]
     maps, enu_from_level = floated(dark)
-    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).judged()
+    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).decide()
     assert found.registered, found.reason
     assert found.enu_from_level is not None
     gaps = found.enu_from_level.apply(centres(maps)) - enu_from_level.apply(centres(maps))
@@ -69,7 +69,7 @@ def test_windows_without_depth_do_not_matter(walls: AirborneWalls) -> None:
 
 def test_another_site_is_refused(walls: AirborneWalls) -> None:
     maps, _ = floated(walk_round(houses(SITE + 1), HOUSE))
-    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).judged()
+    found = search_ground(maps, walls, QUICK, rng=np.random.default_rng(0)).decide()
     assert not found.registered
     assert found.reason
 
@@ -77,7 +77,7 @@ def test_another_site_is_refused(walls: AirborneWalls) -> None:
 def test_a_model_without_walls_is_refused(walls: AirborneWalls) -> None:
     maps, _ = floated(walk_round(houses(SITE), HOUSE, count=2))
     blind = [replace(m, depth=np.full_like(m.depth, np.nan)) for m in maps]
-    found = search_ground(blind, walls, QUICK, rng=np.random.default_rng(0)).judged()
+    found = search_ground(blind, walls, QUICK, rng=np.random.default_rng(0)).decide()
     assert not found.registered
     assert "no wall" in found.reason
 
@@ -94,9 +94,11 @@ def test_the_camera_that_was_moved_is_named(walls: AirborneWalls, aside_m: float
     pose = maps[5].camera.cam_from_world
     sideways = Similarity(1.0, pose.rotation, pose.translation + [aside_m, 0.0, 0.0])
     wrong = replace(maps[5], camera=Camera("wrong", maps[5].camera.intrinsics, sideways))
-    witnesses = hear_cameras([*maps[:5], wrong, *maps[6:]], walls, Similarity.identity(), rng=np.random.default_rng(0))
-    assert [w.image for w in witnesses if w.contradicts] == ["wrong"]
-    assert 0.8 * aside_m < witnesses[5].offset_m < 1.5 * aside_m
-    assert sum(w.heard for w in witnesses) >= 6
-    assert max(w.offset_m for w in witnesses if w.heard and not w.contradicts) < 0.3
-    assert all(w.best_score < 1.1 * w.score for w in witnesses if w.heard and not w.contradicts)
+    pose_checks = check_poses_on_walls(
+        [*maps[:5], wrong, *maps[6:]], walls, Similarity.identity(), rng=np.random.default_rng(0)
+    )
+    assert [w.image for w in pose_checks if w.contradicts] == ["wrong"]
+    assert 0.8 * aside_m < pose_checks[5].offset_m < 1.5 * aside_m
+    assert sum(w.tested for w in pose_checks) >= 6
+    assert max(w.offset_m for w in pose_checks if w.tested and not w.contradicts) < 0.3
+    assert all(w.best_score < 1.1 * w.score for w in pose_checks if w.tested and not w.contradicts)

@@ -11,8 +11,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skymoor.geometry import Similarity
-from skymoor.ground import OneAnswer, conflict, decide_jointly
-from skymoor.ground.walls import Candidate, Guess, JudgeOptions, WallAnswers, moved_map
+from skymoor.ground import OneHypothesis, conflict, decide_jointly
+from skymoor.ground.walls import (
+    AcceptanceOptions,
+    RefinedHypothesis,
+    WallHypotheses,
+    WallHypothesis,
+    transformed_depth_map,
+)
 from skymoor.types import Array, DepthMap, Registration
 from support.houses import centres, houses, walk_round
 
@@ -35,13 +41,15 @@ def into_the_way() -> Similarity:
     return Similarity(1.0, np.eye(3), np.array([*aside, 0.0]))
 
 
-def answers(*candidates: tuple[float, Similarity]) -> WallAnswers:
+def answers(*candidates: tuple[float, Similarity]) -> WallHypotheses:
     found = [Registration(True, "", place, n_matches=200, n_inliers=150, tilt_deg=1.0) for _, place in candidates]
     ranked = [
-        Candidate(Guess(place, 0, 0, 30.0), registration, place, score, 0.5, 2, 1.6, 0.0, 40, (8.0, 12.0))
+        RefinedHypothesis(
+            WallHypothesis(place, 0, 0, 30.0), registration, place, score, 0.5, 2, 1.6, 0.0, 40, (8.0, 12.0)
+        )
         for registration, (score, place) in zip(found, candidates, strict=True)
     ]
-    return WallAnswers(tuple(ranked), centres(walk_round(WORLD, 1)), {"guesses": 3.0}, JudgeOptions())
+    return WallHypotheses(tuple(ranked), centres(walk_round(WORLD, 1)), {"guesses": 3.0}, AcceptanceOptions())
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +77,7 @@ def test_a_house_in_the_free_space_of_another_model_is_a_contradiction(
 
 def test_the_unit_of_a_model_does_not_matter(first: list[DepthMap], second: list[DepthMap]) -> None:
     level_from_enu = Similarity(1 / 1.7, Rotation.from_euler("z", 40, degrees=True).as_matrix(), np.array([3.0, 2, 1]))
-    small = [moved_map(m, level_from_enu) for m in second]
+    small = [transformed_depth_map(m, level_from_enu) for m in second]
     wrong = into_the_way()
     expected = share(second, wrong, first, HERE)
     assert share(small, wrong @ level_from_enu.inverse(), first, HERE) == pytest.approx(expected, abs=0.02)
@@ -83,7 +91,7 @@ def test_models_that_share_nothing_say_nothing(first: list[DepthMap], second: li
 def test_what_contradicts_a_surer_component_is_out(first: list[DepthMap], second: list[DepthMap]) -> None:
     """Alone the second component is refused, for two places are nearly as good; one of them cannot be."""
     sure, torn = answers((80.0, HERE)), answers((60.0, into_the_way()), (55.0, HERE))
-    assert "nearly as good" in torn.judged().reason
+    assert "nearly as good" in torn.decide().reason
     found = decide_jointly(["a", "b"], [sure, torn], [first, second])
     assert [r.registered for r in found] == [True, True]
     assert found[1].enu_from_level is HERE
@@ -96,7 +104,7 @@ def test_what_contradicts_a_surer_component_is_out(first: list[DepthMap], second
 
 def test_a_component_without_another_place_is_refused_by_name(first: list[DepthMap], second: list[DepthMap]) -> None:
     wrong = into_the_way()
-    for lost in (answers((60.0, wrong)), OneAnswer(Registration(True, "", wrong, diagnostics={"score": 60.0}))):
+    for lost in (answers((60.0, wrong)), OneHypothesis(Registration(True, "", wrong, diagnostics={"score": 60.0}))):
         found = decide_jointly(["walk-0", "walk-1"], [answers((80.0, HERE)), lost], [first, second])
         assert [r.registered for r in found] == [True, False]
         assert "contradicts walk-0" in found[1].reason
@@ -109,7 +117,7 @@ def test_the_surer_one_stays_and_nothing_is_lost_without_components(
     found = decide_jointly(["a", "b"], [answers((50.0, HERE)), answers((90.0, wrong))], [first, second])
     assert [r.registered for r in found] == [False, True]
     assert decide_jointly([], [], []) == []
-    refused = OneAnswer(Registration(False, "too few", None))
+    refused = OneHypothesis(Registration(False, "too few", None))
     assert decide_jointly(["a"], [refused], [first])[0].reason == "too few"
     blind = [replace(m, depth=np.full_like(m.depth, np.nan)) for m in second]
     assert decide_jointly(["a", "b"], [answers((80.0, HERE)), answers((60.0, wrong))], [first, blind])[1].registered
@@ -119,5 +127,5 @@ def test_what_speaks_for_each_place_is_told_in_their_order() -> None:
     found = answers((60.0, HERE), (20.0, into_the_way()))
     assert found.evidence == [candidate.contrast for candidate in found.candidates]
     assert found.evidence[0] > found.evidence[1] and len(found.places) == 2
-    assert OneAnswer(Registration(True, "", HERE, n_inliers=70)).evidence == [70.0]
-    assert OneAnswer(Registration(False, "too few", None)).evidence == []
+    assert OneHypothesis(Registration(True, "", HERE, n_inliers=70)).evidence == [70.0]
+    assert OneHypothesis(Registration(False, "too few", None)).evidence == []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from skymoor.match import CyclicOptions, Placement, StructuralMatcher, lay, match_placed
+from skymoor.match import CyclicOptions, ImageHypothesis, StructuralMatcher, lay, match_hypothesis
 from skymoor.types import Raster, Warp
 from support.pictures import GRID, Overhead, another_day, noise_picture, seen_through
 
@@ -48,7 +48,7 @@ class TestLay:
     def test_every_pixel_shows_what_it_should(self, scale: float, heading_deg: float) -> None:
         shape = (150, 190)
         a = ramp(shape)
-        matrix = Placement(scale, np.radians(heading_deg), (120.3, 99.6), 0.0).matrix(shape)
+        matrix = ImageHypothesis(scale, np.radians(heading_deg), (120.3, 99.6), 0.0).matrix(shape)
         laid = lay(a, matrix, (240, 200))
         rows, columns = np.nonzero(laid.mask)
         assert len(rows) > 0.8 * min(scale**2 * 150 * 190, 20000)
@@ -78,14 +78,14 @@ class TestLay:
 @pytest.mark.parametrize("scale", [0.45, 1.2])
 def test_matches_of_a_placed_picture_are_exact(first_day: Overhead, heading_deg: float, scale: float) -> None:
     shape = (round(75 / scale), round(95 / scale))
-    truth = Placement(scale, np.radians(heading_deg), (118.4, 97.7), 0.0).matrix(shape)
+    truth = ImageHypothesis(scale, np.radians(heading_deg), (118.4, 97.7), 0.0).matrix(shape)
     a = seen_through(first_day, lambda px: placed_points(truth, px), shape)
     assert a.height is not None
     a = Raster(a.rgb, a.mask, (a.height / np.float32(scale)).astype(np.float32))
     b = another_day(seen_through(first_day, lambda px: px, GRID.shape))
     # The search is right to a degree, a percent and a pixel; what is left must not show in the matches.
-    guess = Placement(1.01 * scale, np.radians(heading_deg + 0.8), (119.3, 97.1), 0.0).matrix(shape)
-    matches, warp = match_placed(a, b, guess, StructuralMatcher(), rng=np.random.default_rng(0))
+    guess = ImageHypothesis(1.01 * scale, np.radians(heading_deg + 0.8), (119.3, 97.1), 0.0).matrix(shape)
+    matches, warp = match_hypothesis(a, b, guess, StructuralMatcher(), rng=np.random.default_rng(0))
     assert len(matches) > 1000
     assert (matches.px_a >= 0).all() and (matches.px_a <= [shape[1], shape[0]]).all()
     error = matches.px_b - placed_points(truth, matches.px_a)
@@ -103,7 +103,7 @@ class TestFrames:
     def test_oracle(self, place: tuple[float, float], scale: float) -> None:
         shape = (round(60 / scale), round(80 / scale))
         a, b = ramp(shape), ramp((100, 120))
-        guess = Placement(scale, 0.3, place, 0.0).matrix(shape)
+        guess = ImageHypothesis(scale, 0.3, place, 0.0).matrix(shape)
 
         def identity(x: Raster, y: Raster) -> Warp:
             assert x.mask.shape == y.mask.shape
@@ -112,7 +112,7 @@ class TestFrames:
             return Warp(same, sure, same.copy(), y.mask.astype(np.float32))
 
         options = CyclicOptions(max_matches=300)
-        matches, _ = match_placed(a, b, guess, identity, options, rng=np.random.default_rng(0))
+        matches, _ = match_hypothesis(a, b, guess, identity, options, rng=np.random.default_rng(0))
         assert len(matches) == 300
         np.testing.assert_allclose(matches.px_b, placed_points(guess, matches.px_a), atol=1e-3)
         assert (matches.px_b >= 0).all() and (matches.px_b <= [120, 100]).all()
@@ -123,9 +123,9 @@ class TestFrames:
     def test_the_matcher_sees_corresponding_parts(self) -> None:
         shape = (120, 160)
         a, b = ramp(shape), ramp((100, 120))
-        guess = Placement(0.5, 0.0, (60.0, 50.0), 0.0).matrix(shape)
+        guess = ImageHypothesis(0.5, 0.0, (60.0, 50.0), 0.0).matrix(shape)
         seen: list[tuple[Raster, Raster]] = []
-        match_placed(a, b, guess, _recorder(seen), rng=np.random.default_rng(0), margin_px=4)
+        match_hypothesis(a, b, guess, _recorder(seen), rng=np.random.default_rng(0), margin_px=4)
         ((laid, part),) = seen
         assert part.mask.shape == (60 + 8, 80 + 8)
         # Corner of a at (20, 20) of b; the part begins 4 pixels before.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import skymoor.engines.aliked
 import skymoor.match._loftr
 from skymoor.errors import InputError
-from skymoor.match import AlikedMatcher, CyclicOptions, LoftrMatcher, cyclic_matches, match_placed
+from skymoor.match import AlikedMatcher, CyclicOptions, LoftrMatcher, cyclic_matches, match_hypothesis
 from skymoor.types import Matches2D, Raster, Warp
 from support.pictures import noise_picture
 
@@ -65,7 +65,7 @@ class TestAliked:
         whole = noise_picture((256, 320))
         a, b = raster(whole[48:176, 64:224].copy()), raster(whole)
         matrix = np.array([[1.0, 0, 64], [0, 1, 48]])
-        found, _ = match_placed(a, b, matrix, aliked, ALL, rng=np.random.default_rng(0))
+        found, _ = match_hypothesis(a, b, matrix, aliked, ALL, rng=np.random.default_rng(0))
         assert len(found) > 50
         assert np.median(np.linalg.norm(found.px_b - found.px_a - [64, 48], axis=1)) < 0.1
 

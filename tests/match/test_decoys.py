@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skymoor.match import DecoyOptions, SearchOptions, decoy_scores, search_placements
+from skymoor.match import DecoyOptions, SearchOptions, decoy_scores, search_hypotheses
 from skymoor.match.decoys import SEAM_PX, made_decoys, mirrored, mixed
 from skymoor.types import Raster
 from support.pictures import noise_picture
@@ -57,10 +57,10 @@ def test_the_true_picture_stands_out(rng: np.random.Generator) -> None:
     b, elsewhere = picture((220, 260), 3), picture((120, 140), 9)
     a = Raster(b.rgb[50:170, 60:200].copy(), b.mask[50:170, 60:200], b.height[50:170, 60:200])  # type: ignore[index]
     scales = {"min_scale": 0.9, "max_scale": 1.1}
-    true = search_placements(a, b, **scales, options=OPTIONS)[0]
+    true = search_hypotheses(a, b, **scales, options=OPTIONS)[0]
     assert np.linalg.norm(np.array(true.place) - [130, 110]) < 2
     chance = decoy_scores(a, b, **scales, options=OPTIONS, decoys=DecoyOptions(count=3), rng=rng)
-    other = search_placements(elsewhere, b, **scales, options=OPTIONS)[0].score
+    other = search_hypotheses(elsewhere, b, **scales, options=OPTIONS)[0].score
     assert len(chance) == 3
     assert true.score > 2.5 * max(chance)
     assert 0.6 * other < np.mean(chance) < 1.5 * other

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import skymoor.match._roma
 import skymoor.match._romav2
 from skymoor.errors import BackendUnavailable, InputError
-from skymoor.match import CyclicOptions, RomaMatcher, RomaV2Matcher, TinyRomaMatcher, cyclic_matches, match_placed
+from skymoor.match import CyclicOptions, RomaMatcher, RomaV2Matcher, TinyRomaMatcher, cyclic_matches, match_hypothesis
 from skymoor.types import Matches2D, Raster, Warp
 from support.pictures import noise_picture
 
@@ -109,7 +109,7 @@ class TestRoma:
         assert made.options["symmetric"] and not made.options["use_custom_corr"]
 
     def test_through_a_placement(self, fake: list[FakeRoma], monkeypatch: pytest.MonkeyPatch) -> None:
-        """What `match_placed` lays has the sizes of b, and comes back in pixels of a."""
+        """What `match_hypothesis` lays has the sizes of b, and comes back in pixels of a."""
         seen: list[tuple[int, int]] = []
 
         def match(_: FakeRoma, a: Any, b: Any, device: str) -> tuple[torch.Tensor, torch.Tensor]:
@@ -119,7 +119,7 @@ class TestRoma:
 
         monkeypatch.setattr(FakeRoma, "match", match)
         turned = np.array([[0.0, -0.5, 80.0], [0.5, 0.0, 20.0]])
-        found, _ = match_placed(
+        found, _ = match_hypothesis(
             raster(SHAPE_A), raster(SHAPE_B), turned, RomaMatcher(device="cpu"), ALL, rng=np.random.default_rng(0)
         )
         assert seen[0] == seen[1] != SHAPE_A[::-1]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skymoor.match import Placement, search_placements
+from skymoor.match import ImageHypothesis, search_hypotheses
 from skymoor.match.search import alike, distinct
 from skymoor.types import Raster
 from support.pictures import GRID, Overhead, another_day, seen_through, without_heights
@@ -17,7 +17,7 @@ def reference(other_day: Overhead) -> Raster:
     return another_day(seen_through(other_day, lambda px: px, GRID.shape))
 
 
-def placed(view: Overhead, truth: Placement, shape: tuple[int, int]) -> Raster:
+def placed(view: Overhead, truth: ImageHypothesis, shape: tuple[int, int]) -> Raster:
     matrix = truth.matrix(shape)
     raster = seen_through(view, lambda px: px @ matrix[:, :2].T + matrix[:, 2], shape)
     assert raster.height is not None
@@ -25,9 +25,9 @@ def placed(view: Overhead, truth: Placement, shape: tuple[int, int]) -> Raster:
 
 
 CASES = {
-    "fine pixels": (Placement(0.6, np.radians(33.0), (110.3, 105.6), 0.0), (140, 180)),
-    "coarse pixels": (Placement(1.3, np.radians(200.0), (125.5, 90.2), 0.0), (70, 80)),
-    "finest pixels": (Placement(0.45, np.radians(301.7), (140.0, 115.0), 0.0), (160, 180)),
+    "fine pixels": (ImageHypothesis(0.6, np.radians(33.0), (110.3, 105.6), 0.0), (140, 180)),
+    "coarse pixels": (ImageHypothesis(1.3, np.radians(200.0), (125.5, 90.2), 0.0), (70, 80)),
+    "finest pixels": (ImageHypothesis(0.45, np.radians(301.7), (140.0, 115.0), 0.0), (160, 180)),
 }
 
 
@@ -41,7 +41,7 @@ def test_a_picture_is_found(reference: Raster, first_day: Overhead, case: str, h
     if not heights:
         a, b = without_heights(a), without_heights(b)
     steps: list[tuple[int, int]] = []
-    found = search_placements(
+    found = search_hypotheses(
         a,
         b,
         min_scale=truth.scale / 1.2,
@@ -49,7 +49,7 @@ def test_a_picture_is_found(reference: Raster, first_day: Overhead, case: str, h
         progress=lambda done, of: steps.append((done, of)),
     )
     first = found[0]
-    turn = (first.heading_rad - truth.heading_rad + np.pi) % (2 * np.pi) - np.pi
+    turn = (first.azimuth_rad - truth.azimuth_rad + np.pi) % (2 * np.pi) - np.pi
     assert abs(np.degrees(turn)) < 1.0
     assert abs(first.scale / truth.scale - 1) < 0.015
     assert np.hypot(*(np.array(first.place) - truth.place)) < 0.5
@@ -63,7 +63,7 @@ def test_a_picture_is_found(reference: Raster, first_day: Overhead, case: str, h
 
 def test_another_place_scores_like_chance(reference: Raster, next_door: Overhead) -> None:
     truth, shape = CASES["fine pixels"]
-    found = search_placements(placed(next_door, truth, shape), reference, min_scale=0.45, max_scale=0.8)
+    found = search_hypotheses(placed(next_door, truth, shape), reference, min_scale=0.45, max_scale=0.8)
     # Streets and roofs resemble each other; 40 is the least that a registration asks for.
     assert 8 < found[0].score < 40
     assert found[0].score < 1.3 * found[1].score
@@ -72,12 +72,12 @@ def test_another_place_scores_like_chance(reference: Raster, next_door: Overhead
 def test_a_picture_larger_than_the_reference_has_no_place(reference: Raster, first_day: Overhead) -> None:
     truth, shape = CASES["fine pixels"]
     a = placed(first_day, truth, shape)
-    assert search_placements(a, reference, min_scale=6.0, max_scale=9.0) == []
+    assert search_hypotheses(a, reference, min_scale=6.0, max_scale=9.0) == []
 
 
 def test_matrix_is_the_definition() -> None:
-    placement = Placement(0.5, np.radians(90), (40.0, 30.0), 1.0)
-    matrix = placement.matrix((60, 80))
+    hypothesis = ImageHypothesis(0.5, np.radians(90), (40.0, 30.0), 1.0)
+    matrix = hypothesis.matrix((60, 80))
     # The middle lies at the place; u of the picture runs along v of the reference.
     np.testing.assert_allclose(matrix @ [40, 30, 1], [40, 30])
     np.testing.assert_allclose(matrix @ [41, 30, 1], [40, 30.5], atol=1e-12)
@@ -86,10 +86,10 @@ def test_matrix_is_the_definition() -> None:
 
 def test_distinct_keeps_the_best_of_neighbours() -> None:
     shape = (100, 100)
-    here = Placement(1.0, 0.0, (50.0, 50.0), 10.0)
-    nearly = Placement(1.05, np.radians(-5.0 + 360), (52.0, 49.0), 12.0)
-    turned = Placement(1.0, np.radians(40), (50.0, 50.0), 8.0)
-    away = Placement(1.0, 0.0, (80.0, 50.0), 11.0)
-    larger = Placement(1.3, 0.0, (50.0, 50.0), 9.0)
+    here = ImageHypothesis(1.0, 0.0, (50.0, 50.0), 10.0)
+    nearly = ImageHypothesis(1.05, np.radians(-5.0 + 360), (52.0, 49.0), 12.0)
+    turned = ImageHypothesis(1.0, np.radians(40), (50.0, 50.0), 8.0)
+    away = ImageHypothesis(1.0, 0.0, (80.0, 50.0), 11.0)
+    larger = ImageHypothesis(1.3, 0.0, (50.0, 50.0), 9.0)
     assert distinct([here, nearly, turned, away, larger], shape) == [nearly, away, larger, turned]
     assert alike(here, nearly, shape) and not alike(here, turned, shape)

@@ -49,13 +49,13 @@ class Rendered:
 
 def levelled(maps: list[DepthMap]) -> list[DepthMap]:
     return [
-        replace(m, camera=m.camera.moved(LEVEL_FROM_ENU), depth=m.depth / STANDOFF_M, sigma=m.sigma / STANDOFF_M)
+        replace(m, camera=m.camera.transformed(LEVEL_FROM_ENU), depth=m.depth / STANDOFF_M, sigma=m.sigma / STANDOFF_M)
         for m in maps
     ]
 
 
 def built(flight: Flight, maps: list[DepthMap]) -> MeshModel:
-    return MeshBuilder()(true_component(flight).moved(LEVEL_FROM_ENU), levelled(maps))
+    return MeshBuilder()(true_component(flight).transformed(LEVEL_FROM_ENU), levelled(maps))
 
 
 def rendered(flight: Flight, model: MeshModel) -> Rendered:
@@ -215,4 +215,4 @@ def test_depths_without_a_common_surface_are_refused(flight: Flight, exact_model
     unsure = replace(one, sigma=np.full_like(one.depth, 1.0))
     maps = {"no maps": [], "unsure": [unsure, unsure], "one": [one, unsure]}[case]
     with pytest.raises(DegenerateGeometry):
-        MeshBuilder()(true_component(flight).moved(LEVEL_FROM_ENU), maps)
+        MeshBuilder()(true_component(flight).transformed(LEVEL_FROM_ENU), maps)

@@ -21,7 +21,7 @@ SIDEWAYS = Rotation.from_euler("z", 90, degrees=True).as_matrix()
 
 
 def hidden(cameras: list[Camera], points: Array) -> Component:
-    return observed(cameras, points, noise_px=0.2).moved(HIDDEN)
+    return observed(cameras, points, noise_px=0.2).transformed(HIDDEN)
 
 
 def found(component: Component) -> Gravity:
@@ -120,7 +120,7 @@ def test_up_is_where_the_rays_come_from() -> None:
         assert pose.rotation[2, 2] > 0
     for mirror in (np.eye(3), np.diag([1.0, -1.0, -1.0])):  # a half turn: nothing in the frame itself says where up is
         frame = Similarity(2.0, mirror, np.zeros(3))
-        gravity = found(observed(cameras, ground_points(900, relief_m=0.1, extent_m=25)).moved(frame))
+        gravity = found(observed(cameras, ground_points(900, relief_m=0.1, extent_m=25)).transformed(frame))
         assert gravity.up @ mirror[:, 2] > 0.999
 
 
@@ -139,7 +139,7 @@ def test_level_frame(slope_deg: float) -> None:
     component = hidden(ring(), ground_points(800, relief_m=1.0, slope_deg=slope_deg))
     gravity = found(component)
     level_from_sfm = level_from_gravity(component, gravity)
-    level = component.moved(level_from_sfm)
+    level = component.transformed(level_from_sfm)
     np.testing.assert_allclose(level_from_sfm.rotation @ gravity.up, [0, 0, 1], atol=1e-12)
     np.testing.assert_allclose(level.centres[:, :2].mean(axis=0), 0, atol=1e-12)
     assert np.median(level.centres[:, 2]) == pytest.approx(1.0)

@@ -82,6 +82,6 @@ def test_too_few_marks_change_nothing(component: Component) -> None:
 
 def test_it_works_in_any_frame(component: Component, photos: Photos) -> None:
     turn = Similarity(0.3, np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]), np.array([4.0, 5, 6]))
-    moved = component.moved(turn)
+    moved = component.transformed(turn)
     up = estimate_gravity(moved, rng=np.random.default_rng(0), ground=ground_points(moved, photos, LABELER)).up
     assert np.degrees(np.arccos(up @ turn.rotation[:, 2])) < 1.5

@@ -74,7 +74,7 @@ def found(
     options: UprightOptions | None = None,
     ground: Mask | None = None,
 ) -> tuple[Gravity, Component]:
-    component = reconstructed(cameras, wall_points() if points is None else points).moved(HIDDEN)
+    component = reconstructed(cameras, wall_points() if points is None else points).transformed(HIDDEN)
     outlines = windows(lean_deg)
     images = {camera.image: photo(camera, outlines) if edges else blank(camera) for camera in cameras}
     return estimate_ground_gravity(component, photos_of(images), options, ground=ground), component
@@ -126,7 +126,7 @@ def test_three_photos_are_enough() -> None:
 def test_the_lowest_points_near_by_are_the_ground() -> None:
     gravity, component = found(walk())
     assert gravity.camera_height / HIDDEN.scale == pytest.approx(EYE_M, abs=0.15)
-    level = component.moved(level_from_gravity(component, gravity))
+    level = component.transformed(level_from_gravity(component, gravity))
     assert np.median(level.centres[:, 2]) == pytest.approx(1.0)
     assert np.percentile(level.points[:, 2], 1) == pytest.approx(0.0, abs=0.02)
 

@@ -71,7 +71,7 @@ def test_summary_says_how_well(finished: Path, small_site: Site) -> None:
     assert ce90 - 0.01 < component["predicted_ce90_m"] < ce90 + 0.3
     assert le90 < component["predicted_le90_m"] < le90 + 1.5
     assert all(stage["seconds"] >= 0 and stage["peak_mib"] > 0 for stage in summary["stages"])
-    assert component["diagnostics"]["chance_probability"] < 0.005
+    assert component["diagnostics"]["false_alarm_probability"] < 0.005
 
 
 def test_other_places_are_told_beside_the_believed_one(finished: Path) -> None:

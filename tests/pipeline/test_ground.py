@@ -17,7 +17,7 @@ from skymoor.geometry import Similarity
 from skymoor.ground.tiles import CascadeOptions, ConsensusOptions
 from skymoor.match import MatcherOptions
 from skymoor.pipeline import ground as pipeline_ground
-from skymoor.pipeline.airborne import Job, Placed
+from skymoor.pipeline.airborne import ComponentResult, Job
 from skymoor.pipeline.ground import register_ground_sets
 from skymoor.pipeline.options import GroundSetOptions, Options
 from skymoor.store import Store
@@ -68,13 +68,13 @@ def stubbed(monkeypatch: pytest.MonkeyPatch) -> tuple[list[DepthMap], Similarity
     return maps, enu_from_level, world
 
 
-def airborne_of(world: TileWorld, store: Store) -> Placed:
+def airborne_of(world: TileWorld, store: Store) -> ComponentResult:
     store.stage("air.depths", lambda: [])
     for stage in ("model", "nadir", "register"):
         store.stage(f"air.{stage}", lambda: None)
     here = Registration(True, "", Similarity.identity())
     model = WorldModel(world)
-    base = Placed("air", component_of(world.walk()), Similarity.identity(), here, depths=[])
+    base = ComponentResult("air", component_of(world.walk()), Similarity.identity(), here, depths=[])
     return replace(base, model=model, render=world.renders[0])
 
 
@@ -106,7 +106,7 @@ def test_tiles_place_both_components(
         np.testing.assert_allclose([best.east, best.north], middle[:2], atol=0.2)
         assert best.metres_per_unit == pytest.approx(enu_from_level.scale, rel=0.01)
         clockwise = -np.degrees(np.arctan2(enu_from_level.rotation[1, 0], enu_from_level.rotation[0, 0]))
-        assert abs((best.turn_deg - clockwise + 180) % 360 - 180) < 1
+        assert abs((best.azimuth_deg - clockwise + 180) % 360 - 180) < 1
         assert item.registration.diagnostics["pairs"] <= item.registration.diagnostics["pairs_in_all"]
 
 

@@ -54,7 +54,7 @@ def test_depths_of_single_photos_reach_the_field(tmp_path: Path) -> None:
     for run in range(2):
         with Store.open(tmp_path) as store:
             store.stage("a.depths", lambda: None)
-            store.stage("a.witnesses", lambda: None)
+            store.stage("a.pose_checks", lambda: None)
             job = Job(None, None, Options(model=ModelOptions(**model)), store, 0, lambda _: no_progress)  # type: ignore[arg-type]
             assert pipeline._model("a", None, maps, job) == ["a model"]  # type: ignore[arg-type,comparison-overlap]
         assert len(order.asked) == 3, run  # the second time both stages are kept

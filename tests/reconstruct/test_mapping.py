@@ -57,7 +57,7 @@ def test_every_photo_is_in_the_right_place(component: Component, flight: Flight)
     assert error.mean() > 1e-5 * STANDOFF_M
     similarity = enu_from_sfm(component, flight)
     for camera, truth in zip(component.cameras, true_cameras(component, flight), strict=True):
-        turn = camera.moved(similarity).cam_from_world.rotation @ truth.cam_from_world.rotation.T
+        turn = camera.transformed(similarity).cam_from_world.rotation @ truth.cam_from_world.rotation.T
         assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 0.3
 
 
@@ -107,7 +107,7 @@ def test_two_places_are_two_components(flight: Flight) -> None:
     elsewhere = [flight.cameras[k] for k in flight.around[:4]]
     here = [flight.cameras[k] for k in (*flight.around[4:7], *flight.from_above[:2])]
     rng = np.random.default_rng(1)
-    images = {f"b/{c.image}": take_photo(flight.scene, c.moved(away), Sensor(), rng) for c in elsewhere}
+    images = {f"b/{c.image}": take_photo(flight.scene, c.transformed(away), Sensor(), rng) for c in elsewhere}
     images |= {f"a/{c.image}": flight.images[c.image] for c in here}
     matcher = SiftMatcher(max_features=2000)
     first, second = reconstruct(photos_of(images), ReconstructOptions(matcher), seed=2)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from skymoor.errors import TooFewMatches
 from skymoor.geo import EnuFrame, Grid
 from skymoor.geometry import Similarity, point_covariance
-from skymoor.registration import RegisterOptions, camera_accuracy, judge, register, restated
+from skymoor.registration import RegisterOptions, camera_accuracy, decide, register, restated
 from skymoor.registration.covariance import SHAPE_FACTOR, matched_covariance
 from skymoor.types import Calibration, Camera, Matches2D, Matches3D, Reference, Registration
 from support.blocks import LENS, look_at
@@ -51,7 +51,7 @@ def test_a_planted_place_comes_back(outliers: float) -> None:
     assert (1 - outliers) * 0.93 < found.inlier_ratio < (1 - outliers) * 1.0 + 0.02
     assert 0.8 * np.linalg.norm(SIGMA_M) < found.rmse_m < 1.1 * np.linalg.norm(SIGMA_M)
     assert found.tilt_deg == pytest.approx(1.5, abs=0.25)
-    judged = judge(found, SCORES, 1000)
+    judged = decide(found, SCORES, 1000)
     assert judged.registered and judged.reason == ""
     assert judged.diagnostics["search_score"] == 100 and judged.diagnostics["second_score"] == 22
 
@@ -94,14 +94,14 @@ def test_scrambled_matches_are_refused() -> None:
         matches = planted(400, seed=seed)
         order = np.random.default_rng(seed).permutation(400)
         scrambled = replace(matches, xyz_enu=matches.xyz_enu[order])
-        assert not judge(registered(scrambled), SCORES, 1000).registered
+        assert not decide(registered(scrambled), SCORES, 1000).registered
 
 
 def test_few_or_degenerate_matches_give_a_reason() -> None:
     for n in (0, 1):
         found = registered(planted(n))
         assert not found.registered and "no transform" in found.reason and found.n_matches == n
-        assert not judge(found, SCORES, 1000).registered
+        assert not decide(found, SCORES, 1000).registered
     matches = planted(50)
     pole = replace(matches, xyz_level=matches.xyz_level * [0, 0, 1])
     assert not registered(pole).registered
@@ -195,31 +195,31 @@ class TestJudge:
         ],
     )
     def test_each_reason(self, change: dict[str, object], scores: list[float], word: str) -> None:
-        judged = judge(replace(self.GOOD, **change), scores, 1000)  # type: ignore[arg-type]
+        judged = decide(replace(self.GOOD, **change), scores, 1000)  # type: ignore[arg-type]
         assert not judged.registered and word in judged.reason
 
     def test_good_is_good_and_one_place_needs_no_second(self) -> None:
-        assert judge(self.GOOD, SCORES, 1000).registered
-        assert judge(self.GOOD, [100.0], 1000).registered
+        assert decide(self.GOOD, SCORES, 1000).registered
+        assert decide(self.GOOD, [100.0], 1000).registered
 
     def test_pictures_that_lie_nowhere_are_compared_with(self) -> None:
         """Thrice what they score is no chance; a third more is."""
-        good = judge(self.GOOD, SCORES, 1000, decoys=[30.0, 33.0, 28.0, 31.0])
-        assert good.registered and 0 < good.diagnostics["chance_probability"] < 1e-3
+        good = decide(self.GOOD, SCORES, 1000, decoys=[30.0, 33.0, 28.0, 31.0])
+        assert good.registered and 0 < good.diagnostics["false_alarm_probability"] < 1e-3
         assert good.diagnostics["decoy_score"] == 33
-        poor = judge(self.GOOD, [60.0, 30.0], 1000, decoys=[45.0, 50.0, 42.0, 46.0])
+        poor = decide(self.GOOD, [60.0, 30.0], 1000, decoys=[45.0, 50.0, 42.0, 46.0])
         assert not poor.registered and "reach 50 here" in poor.reason and "chance (" in poor.reason
 
     def test_heights_may_deny(self) -> None:
         for heights, registered_ in ((None, True), (0.5, True), (0.1, False), (-0.9, False)):
-            judged = judge(self.GOOD, SCORES, 1000, heights=heights)
+            judged = decide(self.GOOD, SCORES, 1000, heights=heights)
             assert judged.registered == registered_
             assert judged.diagnostics.get("height_agreement") == heights
         assert "(correlation -0.90)" in judged.reason
 
     def test_thresholds_are_options(self) -> None:
-        assert not judge(self.GOOD, SCORES, 1000, RegisterOptions(min_score=101.0)).registered
-        assert judge(self.GOOD, [30.0, 25.0], 9, RegisterOptions(min_score=20.0, min_score_margin=1.1)).registered
+        assert not decide(self.GOOD, SCORES, 1000, RegisterOptions(min_score=101.0)).registered
+        assert decide(self.GOOD, [30.0, 25.0], 9, RegisterOptions(min_score=20.0, min_score_margin=1.1)).registered
 
 
 class TestCameraAccuracy:

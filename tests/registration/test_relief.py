@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from skymoor.registration import Relief, ReliefOptions, compare_relief, focal_correction
+from skymoor.registration import HeightScale, HeightScaleOptions, estimate_height_scale, focal_correction
 from skymoor.types import Calibration
 from support.pictures import Overhead
 
@@ -28,7 +28,7 @@ def noisy(height: Array, sigma: float, seed: int) -> NDArray[np.float32]:
 @pytest.mark.parametrize("ratio", [0.8, 1.0, 1.25])
 def test_a_planted_ratio_comes_back(truth: Array, ratio: float) -> None:
     plane = 0.03 * np.arange(truth.shape[1]) - 0.02 * np.arange(truth.shape[0])[:, None] + 7
-    relief = compare_relief(noisy(truth / ratio + plane, 0.05, 0), noisy(truth, 0.15, 1), PIXEL_M)
+    relief = estimate_height_scale(noisy(truth / ratio + plane, 0.05, 0), noisy(truth, 0.15, 1), PIXEL_M)
     assert relief is not None
     assert relief.ratio == pytest.approx(ratio, rel=0.015)
     assert abs(relief.ratio - ratio) < 2 * relief.sigma
@@ -40,33 +40,33 @@ def test_changed_buildings_and_holes_do_not_decide(truth: Array) -> None:
     reference[10:40, 20:60] += 9
     model[100:130, 60:120] = np.nan
     reference[:, 150:] = np.nan
-    relief = compare_relief(model, reference, PIXEL_M)
+    relief = estimate_height_scale(model, reference, PIXEL_M)
     assert relief is not None and relief.ratio == pytest.approx(1.1, rel=0.03)
 
 
 def test_a_smoother_reference_is_not_a_flatter_one(truth: Array) -> None:
     smooth = gaussian_filter(truth, 2.0)  # a metre: what the comparison allows for
-    relief = compare_relief(noisy(truth, 0.05, 0), noisy(smooth, 0.15, 1), PIXEL_M)
+    relief = estimate_height_scale(noisy(truth, 0.05, 0), noisy(smooth, 0.15, 1), PIXEL_M)
     assert relief is not None and relief.ratio == pytest.approx(1.0, abs=0.06)
 
 
 def test_flat_ground_says_nothing_with_much_conviction(truth: Array) -> None:
-    relief = compare_relief(noisy(0 * truth, 0.02, 0), noisy(0 * truth, 0.15, 1), PIXEL_M)
+    relief = estimate_height_scale(noisy(0 * truth, 0.02, 0), noisy(0 * truth, 0.15, 1), PIXEL_M)
     assert relief is None or relief.sigma > 0.3
 
 
 def test_too_little_in_common_is_no_answer(truth: Array) -> None:
     reference = np.full_like(truth, np.nan)
     reference[:12, :12] = truth[:12, :12]
-    assert compare_relief(noisy(truth, 0.05, 0), reference.astype(np.float32), PIXEL_M) is None
-    assert compare_relief(noisy(truth, 0.05, 0), np.full(truth.shape, np.nan, np.float32), PIXEL_M) is None
+    assert estimate_height_scale(noisy(truth, 0.05, 0), reference.astype(np.float32), PIXEL_M) is None
+    assert estimate_height_scale(noisy(truth, 0.05, 0), np.full(truth.shape, np.nan, np.float32), PIXEL_M) is None
 
 
 class TestFocalCorrection:
     WIDE = Calibration(True, 400.0, 0.01, 0.8, 1.2, True)
 
     def test_a_precise_relief_decides_over_wide_bounds(self) -> None:
-        found = focal_correction(Relief(1.15, 0.03), self.WIDE)
+        found = focal_correction(HeightScale(1.15, 0.03), self.WIDE)
         assert found is not None
         ratio, sigma = found
         assert 1.13 < ratio < 1.15
@@ -74,7 +74,7 @@ class TestFocalCorrection:
 
     def test_two_measurements_of_equal_worth_meet_in_the_middle(self) -> None:
         narrow = Calibration(True, 400.0, 0.001, 0.94, 1.06, True)
-        found = focal_correction(Relief(1.2, 1.2 * 0.06), narrow)
+        found = focal_correction(HeightScale(1.2, 1.2 * 0.06), narrow)
         assert found is not None
         assert found[0] == pytest.approx(np.sqrt(1.2), rel=1e-6)
         assert found[1] == pytest.approx(0.06 / np.sqrt(2), rel=1e-6)
@@ -83,18 +83,18 @@ class TestFocalCorrection:
         ("relief", "calibration"),
         [
             (None, WIDE),
-            (Relief(1.15, 0.03), None),
-            (Relief(1.15, 0.03), Calibration(True, 400.0, 0.001, 0.99, 1.01, False)),
-            (Relief(1.005, 0.03), WIDE),
-            (Relief(-0.5, 0.03), WIDE),
-            (Relief(0.1, 0.03), WIDE),
+            (HeightScale(1.15, 0.03), None),
+            (HeightScale(1.15, 0.03), Calibration(True, 400.0, 0.001, 0.99, 1.01, False)),
+            (HeightScale(1.005, 0.03), WIDE),
+            (HeightScale(-0.5, 0.03), WIDE),
+            (HeightScale(0.1, 0.03), WIDE),
         ],
         ids=["no relief", "no calibration", "certain photos", "no difference", "inverted", "absurd"],
     )
-    def test_otherwise_it_is_left_alone(self, relief: Relief | None, calibration: Calibration | None) -> None:
+    def test_otherwise_it_is_left_alone(self, relief: HeightScale | None, calibration: Calibration | None) -> None:
         assert focal_correction(relief, calibration) is None
 
     def test_significance_is_an_option(self) -> None:
-        relief = Relief(1.05, 0.03)
-        assert focal_correction(relief, self.WIDE, ReliefOptions(significance=1.0)) is not None
-        assert focal_correction(relief, self.WIDE, ReliefOptions(significance=3.0)) is None
+        relief = HeightScale(1.05, 0.03)
+        assert focal_correction(relief, self.WIDE, HeightScaleOptions(significance=1.0)) is not None
+        assert focal_correction(relief, self.WIDE, HeightScaleOptions(significance=3.0)) is None

@@ -11,9 +11,9 @@ import pytest
 
 from skymoor.geo import EnuFrame, Grid
 from skymoor.geometry import Similarity
-from skymoor.ground.walls import CameraWitness
-from skymoor.pipeline.job import Placed
-from skymoor.results.write import PlacedSet, accuracy_of, camera_rows, figures_of
+from skymoor.ground.walls import GroundPoseCheck
+from skymoor.pipeline.job import ComponentResult
+from skymoor.results.write import SetResult, accuracy_of, camera_rows, figures_of
 from skymoor.types import Reference, Registration
 from support.blocks import block
 
@@ -37,17 +37,17 @@ def registration(variance_m2: float, centre: list[float]) -> Registration:
 
 
 @pytest.fixture
-def ground() -> Placed:
+def ground() -> ComponentResult:
     component = replace(block("orbit", relief_m=5.0), calibration=None)
-    base = Placed("airborne-0", component, Similarity.identity(), registration(0.3, [0, 0, 0]))
-    return Placed("ground0-0", component, Similarity.identity(), registration(0.2, [0, 0, 0]), base=base)
+    base = ComponentResult("airborne-0", component, Similarity.identity(), registration(0.3, [0, 0, 0]))
+    return ComponentResult("ground0-0", component, Similarity.identity(), registration(0.2, [0, 0, 0]), base=base)
 
 
-def witness(image: str, *, contradicts: bool) -> CameraWitness:
-    return CameraWitness(image, 0.5, 0.5, 100, 1.2 if contradicts else 0.1, True, contradicts)
+def check(image: str, *, contradicts: bool) -> GroundPoseCheck:
+    return GroundPoseCheck(image, 0.5, 0.5, 100, 1.2 if contradicts else 0.1, True, contradicts)
 
 
-def test_a_ground_camera_is_as_unsure_as_all_that_it_stands_on(ground: Placed) -> None:
+def test_a_ground_camera_is_as_unsure_as_all_that_it_stands_on(ground: ComponentResult) -> None:
     alone = figures_of(accuracy_of(replace(ground, base=None), REFERENCE))
     both = figures_of(accuracy_of(ground, REFERENCE))
     # Horizontal variances of about 0.55 + 0.2, and with the airborne model's 0.3 on top.
@@ -58,10 +58,10 @@ def test_a_ground_camera_is_as_unsure_as_all_that_it_stands_on(ground: Placed) -
     assert np.median(both[:, 3]) == pytest.approx(1.6449 * np.sqrt(0.5), rel=0.05)
 
 
-def test_a_camera_that_contradicts_gets_no_place(ground: Placed) -> None:
+def test_a_camera_that_contradicts_gets_no_place(ground: ComponentResult) -> None:
     images = [camera.image for camera in ground.component.cameras]
-    doubted = replace(ground, witnesses=[witness(image, contradicts=image == images[1]) for image in images])
-    rows = camera_rows(PlacedSet("ground0", Path("ground"), [*images, "ground/alone.jpg"], [doubted]), REFERENCE)
+    doubted = replace(ground, pose_checks=[check(image, contradicts=image == images[1]) for image in images])
+    rows = camera_rows(SetResult("ground0", Path("ground"), [*images, "ground/alone.jpg"], [doubted]), REFERENCE)
     assert sorted(row.image for row in rows) == sorted([*images, "ground/alone.jpg"])
     unplaced = {row.image: row for row in rows if row.lat is None}
     assert set(unplaced) == {images[1], "ground/alone.jpg"}
@@ -69,15 +69,15 @@ def test_a_camera_that_contradicts_gets_no_place(ground: Placed) -> None:
     assert all(row.status == "REGISTERED" for row in rows if row.image not in unplaced)
 
 
-def test_what_a_doubted_camera_sees_leaves_the_model(ground: Placed) -> None:
+def test_what_a_doubted_camera_sees_leaves_the_model(ground: ComponentResult) -> None:
     images = [camera.image for camera in ground.component.cameras]
     turn = Similarity.from_quaternion_wxyz(2.0, [0.9, 0.1, 0.3, -0.2], [5.0, 6.0, 7.0])
     doubted = replace(
         ground,
-        witnesses=[witness(image, contradicts=image == images[1]) for image in images],
+        pose_checks=[check(image, contradicts=image == images[1]) for image in images],
         registration=replace(ground.registration, enu_from_level=turn),
     )
-    whole, left = ground.component.moved(turn), doubted.component_enu
+    whole, left = ground.component.transformed(turn), doubted.component_enu
     assert left is not None
     assert [camera.image for camera in left.cameras] == [image for image in images if image != images[1]]
     np.testing.assert_allclose(left.centres, np.delete(whole.centres, 1, axis=0), atol=1e-9)

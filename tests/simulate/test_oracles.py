@@ -78,7 +78,7 @@ def depth_errors(maps: list[DepthMap], component: Component, world: World) -> Ar
     enu_from_sfm = true_enu_from_sfm(component, [camera for camera, _ in views])
     errors = []
     for depth_map in maps:
-        exact = true_depth(views[0][1], depth_map.camera.moved(enu_from_sfm)) / enu_from_sfm.scale
+        exact = true_depth(views[0][1], depth_map.camera.transformed(enu_from_sfm)) / enu_from_sfm.scale
         errors.append((depth_map.depth / exact - 1).ravel())
     return np.concatenate(errors)
 

@@ -195,7 +195,7 @@ def test_sets_that_were_not_asked_for_are_not_listed(tmp_path: Path, make_world:
 def test_the_true_similarity_comes_back(site: Site, rng: np.random.Generator) -> None:
     true = Similarity(3.7, Rotation.random(rng=rng).as_matrix(), np.array([40.0, -7.0, 12.0]))
     cameras = [camera for name, camera in site.cameras.items() if name.startswith("airborne")]
-    moved = tuple(camera.moved(true.inverse()) for camera in cameras)
+    moved = tuple(camera.transformed(true.inverse()) for camera in cameras)
     nothing = np.zeros(0, np.int32)
     component = Component(moved, np.zeros((0, 3)), np.zeros((0, 3), np.uint8), nothing, nothing, np.zeros((0, 2)), 0.0)
     found = true_enu_from_sfm(component, site.cameras.values())

@@ -33,7 +33,7 @@ STAGES: dict[str, Callable[..., object]] = {
     "ground": ground_points,
     "refocus": with_focal,
     "depths": SgmDepth(),
-    "witnesses": check_camera_poses,
+    "pose_checks": check_camera_poses,
     "monocular": relative_depths,
     "model": MeshBuilder(),
     "model by a radiance field": NerfBuilder(),
@@ -54,7 +54,12 @@ USES = {
     "register": {"registration.refusal", "registration.covariance", "geometry.ransac", "match.align", "errors"},
     "reconstruct": {"reconstruct.mapping", "reconstruct.database", "engines.colmap", "types"},
     "model by a radiance field": {"model.nerf.build", "model.nerf.hashgrid", "model.nerf.options"},
-    "wall search": {"ground.walls.consensus", "ground.walls.shifts", "match.structural", "registration.airborne"},
+    "wall search": {
+        "ground.walls.consensus",
+        "ground.walls.facade_search",
+        "match.structural",
+        "registration.airborne",
+    },
     "reference": {"reference.read", "reference.raster", "geo.datum"},
 }
 USES_NOT = {

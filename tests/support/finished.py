@@ -83,7 +83,7 @@ def summary_of_run(folder: Path, frame: EnuFrame, cameras: int, *, registered: b
         **{"tilt_deg": 0.2, "calibration_note": "", "contradicting_cameras": [], "diagnostics": {}},
     }
     place = {"lat": 48.0, "lon": 11.0, "east": 1.0, "north": 2.0}
-    air["hypotheses"] = [{"score": 90.0, **place, "turn_deg": 3.0, "metres_per_unit": 12.0}]
+    air["hypotheses"] = [{"score": 90.0, **place, "azimuth_deg": 3.0, "metres_per_unit": 12.0}]
     if registered:
         air |= georeference(frame, Similarity.identity())
         air |= {"predicted_ce90_m": 2.1, "predicted_le90_m": 3.8}

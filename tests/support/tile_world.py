@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from skymoor.engines.raycast import RayCaster
 from skymoor.geometry import Intrinsics, Similarity
-from skymoor.ground.tiles import PictureOptions
+from skymoor.ground.tiles import TileImageOptions
 from skymoor.ground.tiles.images import AirborneTiles, airborne_tiles, ground_photo
-from skymoor.ground.walls import moved_map
+from skymoor.ground.walls import transformed_depth_map
 from skymoor.model import RenderOptions, nadir_view, oblique_views
 from skymoor.simulate.oracles import OracleMatcher
 from skymoor.types import Array32, Camera, DepthMap, Image, Raster, Render, View, Warp
@@ -24,7 +24,7 @@ from support.blocks import look_at
 Array = NDArray[np.float64]
 
 LENS = Intrinsics(96, 72, 76.0, 76.0, 48.0, 36.0)
-PICTURES = PictureOptions(tile_px=64)
+PICTURES = TileImageOptions(tile_px=64)
 PIXEL_M = 0.33
 HALF_M = 34.0
 # Middle east and north, half sizes, height, heading in degrees.
@@ -104,7 +104,7 @@ def floated(maps: Sequence[DepthMap], *, tilt_deg: float = 0.6) -> tuple[list[De
     """Maps in a frame of their own, level but for a tilt, a unit near the cameras' height; and the way back."""
     rotation = Rotation.from_euler("z", 130, degrees=True) * Rotation.from_euler("x", tilt_deg, degrees=True)
     level_from_enu = Similarity(1 / 1.72, rotation.as_matrix(), np.array([40.0, -7.0, 3.0]))
-    return [moved_map(depth_map, level_from_enu) for depth_map in maps], level_from_enu.inverse()
+    return [transformed_depth_map(depth_map, level_from_enu) for depth_map in maps], level_from_enu.inverse()
 
 
 @dataclass(frozen=True, eq=False)

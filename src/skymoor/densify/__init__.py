@@ -5,11 +5,11 @@ from skymoor.densify._depth_anything import DepthAnythingDepth, MetricDepthNetwo
 from skymoor.densify._marigold import MarigoldDepth
 from skymoor.densify._patchmatch import PatchMatchDepth, read_colmap_depth
 from skymoor.densify._sgm import SgmDepth
-from skymoor.densify.agreement import AgreementOptions, PhotoWitness, check_camera_poses, hear_photos
 from skymoor.densify.metric_scale import MetricScale, metric_scale_of_photos, scale_from_metric_depth
+from skymoor.densify.pose_checks import AgreementOptions, PoseCheck, check_camera_poses, check_poses
 from skymoor.densify.protocol import DepthEstimator, MetricDepth, MonocularDepth
 from skymoor.densify.single_photos import relative_depths
-from skymoor.densify.views import blind_map
+from skymoor.densify.views import empty_depth_map
 
 __all__ = [
     "AgreementOptions",
@@ -21,11 +21,11 @@ __all__ = [
     "MetricScale",
     "MonocularDepth",
     "PatchMatchDepth",
-    "PhotoWitness",
+    "PoseCheck",
     "SgmDepth",
-    "blind_map",
     "check_camera_poses",
-    "hear_photos",
+    "check_poses",
+    "empty_depth_map",
     "metric_scale_of_photos",
     "read_colmap_depth",
     "relative_depths",

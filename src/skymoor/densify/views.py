@@ -25,7 +25,7 @@ def undistorted(camera: Camera, image: Image) -> tuple[Camera, Image]:
     return Camera(camera.image, pinhole, camera.cam_from_world), rgb
 
 
-def blind_map(camera: Camera, photos: Photos, max_px: int) -> DepthMap:
+def empty_depth_map(camera: Camera, photos: Photos, max_px: int) -> DepthMap:
     """The photo of a camera that nothing measures depth with: none of its depths is known."""
     pinhole, rgb = undistorted(*reduced(camera, photos.read(camera.image), max_px))
     unknown = np.full(rgb.shape[:2], np.nan, np.float32)

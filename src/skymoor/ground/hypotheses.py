@@ -11,7 +11,7 @@ from skymoor.geometry import Similarity
 from skymoor.types import Registration
 
 
-class Answers(Protocol):
+class Hypotheses(Protocol):
     """Where a component may stand, by some search."""
 
     @property
@@ -22,29 +22,29 @@ class Answers(Protocol):
     def evidence(self) -> Sequence[float]:
         """What speaks for each of the places; they compare with each other."""
 
-    def judged(self, excluded: Collection[int] = ()) -> Registration:
+    def decide(self, excluded: Collection[int] = ()) -> Registration:
         """The best place, or why it is not believed, if those numbered in `excluded` are known to be wrong."""
 
 
 @dataclass(frozen=True, eq=False)
-class OneAnswer:
+class OneHypothesis:
     """The answer of a search that gives no other than its best."""
 
     registration: Registration
 
     @property
     def places(self) -> list[Similarity]:
-        """See `Answers`."""
+        """See `Hypotheses`."""
         placed = self.registration.enu_from_level
         return [] if placed is None else [placed]
 
     @property
     def evidence(self) -> list[float]:
-        """See `Answers`: inliers."""
+        """See `Hypotheses`: inliers."""
         return [float(self.registration.n_inliers) for _ in self.places]
 
-    def judged(self, excluded: Collection[int] = ()) -> Registration:
-        """See `Answers`."""
+    def decide(self, excluded: Collection[int] = ()) -> Registration:
+        """See `Hypotheses`."""
         if not excluded:
             return self.registration
         return replace(self.registration, registered=False, reason="nothing was found")

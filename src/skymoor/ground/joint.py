@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skymoor.geometry import Similarity
-from skymoor.ground.hypotheses import Answers
+from skymoor.ground.hypotheses import Hypotheses
 from skymoor.types import Array, DepthMap, Registration
 
 
@@ -33,7 +33,7 @@ class JointOptions:
 
 def decide_jointly(
     names: Sequence[str],
-    answers: Sequence[Answers],
+    answers: Sequence[Hypotheses],
     maps_level: Sequence[Sequence[DepthMap]],
     options: JointOptions | None = None,
 ) -> list[Registration]:
@@ -53,7 +53,7 @@ def decide_jointly(
     excluded: list[dict[int, str]] = [{} for _ in answers]
     decided: dict[int, Registration] = {}
     while True:
-        judged = {k: answers[k].judged(excluded[k]) for k in range(len(answers)) if k not in decided}
+        judged = {k: answers[k].decide(excluded[k]) for k in range(len(answers)) if k not in decided}
         passing = [k for k, found in judged.items() if found.registered]
         if not passing:
             return [decided.get(k) or _explained(judged[k], excluded[k]) for k in range(len(answers))]

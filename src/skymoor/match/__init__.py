@@ -6,12 +6,12 @@ from skymoor.match._anyloc import AnyLocRetriever
 from skymoor.match._loftr import LoftrMatcher
 from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
 from skymoor.match._romav2 import RomaV2Matcher
-from skymoor.match.align import lay, match_placed
+from skymoor.match.align import lay, match_hypothesis
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
 from skymoor.match.decoys import DecoyOptions, decoy_scores
 from skymoor.match.protocol import DenseMatcher, Retriever
 from skymoor.match.retrieve import ChannelRetriever
-from skymoor.match.search import Placement, SearchOptions, search_placements
+from skymoor.match.search import ImageHypothesis, SearchOptions, search_hypotheses
 from skymoor.match.structural import StructuralMatcher
 
 __all__ = [
@@ -21,8 +21,8 @@ __all__ = [
     "CyclicOptions",
     "DecoyOptions",
     "DenseMatcher",
+    "ImageHypothesis",
     "LoftrMatcher",
-    "Placement",
     "Retriever",
     "RomaMatcher",
     "RomaV2Matcher",
@@ -32,6 +32,6 @@ __all__ = [
     "cyclic_matches",
     "decoy_scores",
     "lay",
-    "match_placed",
-    "search_placements",
+    "match_hypothesis",
+    "search_hypotheses",
 ]

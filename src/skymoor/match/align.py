@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lay one picture on the other by a placement, match them there, and say the matches in their own pixels."""
+"""Lay one picture on the other by a hypothesis, match them there, and say the matches in their own pixels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from skymoor.match.pyramid import Pyramid
 from skymoor.types import Array, Matches2D, Raster, Warp
 
 
-def match_placed(
+def match_hypothesis(
     a: Raster,
     b: Raster,
     b_from_a: Array,

@@ -47,9 +47,9 @@ def decoy_scores(
     enough: Callable[[Sequence[float]], bool] = lambda _: False,
     progress: Progress = no_progress,
 ) -> list[float]:
-    """The best score of each decoy of `a` in `b`, to be compared with those of `search_placements`.
+    """The best score of each decoy of `a` in `b`, to be compared with those of `search_hypotheses`.
 
-    Arguments are those of `search_placements`; `rng` mixes the parts. From the second decoy on `enough` is asked
+    Arguments are those of `search_hypotheses`; `rng` mixes the parts. From the second decoy on `enough` is asked
     whether those so far say all there is to say: each costs as much as the search.
     """
     decoys = decoys or DecoyOptions()

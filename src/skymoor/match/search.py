@@ -20,21 +20,21 @@ from skymoor.types import Array, Progress, Raster, no_progress
 
 
 @dataclass(frozen=True)
-class Placement:
+class ImageHypothesis:
     """Pixel p of the picture lies at `scale * turn(p - centre) + place` of the reference, both in pixels.
 
-    `turn` rotates by `heading_rad` from u towards v; `centre` is the middle of the picture. `score` is the agreement
+    `turn` rotates by `azimuth_rad` from u towards v; `centre` is the middle of the picture. `score` is the agreement
     in standard deviations above chance; it compares with scores of the same level of refinement.
     """
 
     scale: float
-    heading_rad: float
+    azimuth_rad: float
     place: tuple[float, float]
     score: float
 
     def matrix(self, shape: tuple[int, int]) -> Array:
         """(2, 3) affine from the pixels of a picture of `shape` to the reference's."""
-        c, s = self.scale * np.cos(self.heading_rad), self.scale * np.sin(self.heading_rad)
+        c, s = self.scale * np.cos(self.azimuth_rad), self.scale * np.sin(self.azimuth_rad)
         linear = np.array([[c, -s], [s, c]])
         centre = np.array([shape[1] / 2, shape[0] / 2])
         return np.column_stack([linear, np.array(self.place) - linear @ centre])
@@ -65,7 +65,7 @@ class SearchOptions:
     channels: ChannelOptions = field(default_factory=ChannelOptions, metadata=FIXED)
 
 
-def search_placements(
+def search_hypotheses(
     a: Raster,
     b: Raster,
     *,
@@ -73,7 +73,7 @@ def search_placements(
     max_scale: float,
     options: SearchOptions | None = None,
     progress: Progress = no_progress,
-) -> list[Placement]:
+) -> list[ImageHypothesis]:
     """The best places of `a` in `b`, best first, distinct from each other; scale is pixels of b per pixel of a.
 
     Scales at which the reference could not hold the picture are left out. An empty list says that none is left.
@@ -84,7 +84,7 @@ def search_placements(
 
 def search_in(
     reference: Sized, a: Raster, *, min_scale: float, max_scale: float, options: SearchOptions, progress: Progress
-) -> list[Placement]:
+) -> list[ImageHypothesis]:
     """The same in a reference in which other pictures are searched, too: what is made of it is made once."""
     b = reference.raster
     search = _Search(a, reference, options)
@@ -94,7 +94,7 @@ def search_in(
         return []
     steps = int(np.log(max_scale / min_scale) / np.log(options.scale_step)) + 1
     scales = [min_scale * options.scale_step**k for k in range(steps + 1)]
-    found: list[Placement] = []
+    found: list[ImageHypothesis] = []
     for done, scale in enumerate(scales):
         found += search.coarse(scale)
         progress(done + 1, len(scales) + 1)
@@ -112,18 +112,18 @@ def search_in(
     return found
 
 
-def distinct(placements: list[Placement], shape: tuple[int, int]) -> list[Placement]:
+def distinct(hypotheses: list[ImageHypothesis], shape: tuple[int, int]) -> list[ImageHypothesis]:
     """Best first, without those that nearly repeat a better one."""
-    kept: list[Placement] = []
-    for p in sorted(placements, key=lambda p: -p.score):
+    kept: list[ImageHypothesis] = []
+    for p in sorted(hypotheses, key=lambda p: -p.score):
         if all(not alike(p, q, shape) for q in kept):
             kept.append(p)
     return kept
 
 
-def alike(p: Placement, q: Placement, shape: tuple[int, int]) -> bool:
-    """Whether two placements are the same answer up to a refinement."""
-    turn = abs((p.heading_rad - q.heading_rad + np.pi) % (2 * np.pi) - np.pi)
+def alike(p: ImageHypothesis, q: ImageHypothesis, shape: tuple[int, int]) -> bool:
+    """Whether two hypotheses are the same answer up to a refinement."""
+    turn = abs((p.azimuth_rad - q.azimuth_rad + np.pi) % (2 * np.pi) - np.pi)
     apart = np.hypot(p.place[0] - q.place[0], p.place[1] - q.place[1])
     near = 0.12 * max(shape) * max(p.scale, q.scale)
     return bool(turn < np.radians(15) and abs(np.log(p.scale / q.scale)) < 0.2 and apart < near)
@@ -160,7 +160,7 @@ class _Search:
         # Quantised, so that few versions of the reference are made.
         return float(min(1.0, 2 ** (np.floor(2 * np.log2(min(wanted, largest))) / 2)))
 
-    def coarse(self, scale: float) -> list[Placement]:
+    def coarse(self, scale: float) -> list[ImageHypothesis]:
         """The best places at one scale over all headings."""
         ratio = self.ratio(scale, self._options.template_px)
         small = self._a.at(scale * ratio)
@@ -175,10 +175,12 @@ class _Search:
             scores = correlate(template, target, min_overlap=self._options.min_overlap)
             for v, u, score in peaks(scores, count=2, apart=side // 8):
                 place = ((u - side / 2 + 1) / ratio, (v - side / 2 + 1) / ratio)
-                found.append(Placement(scale, float(heading), place, score))
+                found.append(ImageHypothesis(scale, float(heading), place, score))
         return found
 
-    def refine(self, start: Placement, template_px: int, heading_step: float, scale_step: float) -> Placement:
+    def refine(
+        self, start: ImageHypothesis, template_px: int, heading_step: float, scale_step: float
+    ) -> ImageHypothesis:
         """Climb in heading and scale at a finer pixel; the place is searched within a few pixels each time."""
         ratio = self.ratio(start.scale, template_px)
         best = replace(start, score=-np.inf)
@@ -188,17 +190,17 @@ class _Search:
                 scale = middle.scale * float(np.exp(stretch * step * scale_step))
                 channels = make_channels(self._a.at(scale * ratio), self._options.channels)
                 for turned in (-1, 0, 1):
-                    heading = middle.heading_rad + turned * step * heading_step
-                    trial = self._place(replace(middle, heading_rad=heading, scale=scale), channels, ratio)
+                    heading = middle.azimuth_rad + turned * step * heading_step
+                    trial = self._place(replace(middle, azimuth_rad=heading, scale=scale), channels, ratio)
                     best = max(best, trial, key=lambda p: p.score)
         return best
 
     def _target(self, ratio: float) -> Target:
         return self._reference.at(ratio, self._options.channels)
 
-    def _place(self, trial: Placement, channels: Channels, ratio: float, reach: int = 8) -> Placement:
+    def _place(self, trial: ImageHypothesis, channels: Channels, ratio: float, reach: int = 8) -> ImageHypothesis:
         """The best place within `reach` pixels, and its score; `channels` are the picture's at the trial's scale."""
-        template = turn(channels, trial.heading_rad)
+        template = turn(channels, trial.azimuth_rad)
         side = template.values.shape[1]
         u0, v0 = (round(x * ratio - side / 2) - reach for x in trial.place)
         window = cut(self._target(ratio).channels, u0, v0, side + 2 * reach)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gravity from geometry alone (paper, section 3.1, gravity vector estimation; Szeliski 2006 for the horizon).
 
-Two witnesses are weighed by what they are worth. The ground plane is limited by the slope of the terrain. The x-axes
+Two pose_checks are weighed by what they are worth. The ground plane is limited by the slope of the terrain. The x-axes
 of cameras that people and gimbals hold level lie in the horizon, so the direction across all of them is up: accurate
 to a fraction of a degree where headings differ, but blind where all photos look the same way. Each gives a 3 x 3
 information matrix for the up vector; the smallest eigenvector of the sum is the answer.
@@ -20,7 +20,7 @@ from skymoor.types import Array, Component, Gravity, Mask
 
 @dataclass(frozen=True)
 class OrientOptions:
-    """How much each witness is believed.
+    """How much each check is believed.
 
     Attributes:
         terrain_slope_deg: expected slope of the ground over the site.

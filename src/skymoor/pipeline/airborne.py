@@ -13,30 +13,30 @@ import numpy as np
 
 from skymoor.densify import DepthEstimator, check_camera_poses, relative_depths
 from skymoor.errors import DegenerateGeometry
-from skymoor.match import Placement
+from skymoor.match import ImageHypothesis
 from skymoor.model import SceneModel, render_nadir
 from skymoor.orient import GroundLabeler, estimate_gravity, ground_points, level_from_gravity
-from skymoor.pipeline.job import Hypothesis, Job, Placed, or_else, refused
+from skymoor.pipeline.job import ComponentResult, Job, MapHypothesis, or_else, refused
 from skymoor.pipeline.null_scores import null_scores
-from skymoor.pipeline.overlay import lay_on_reference
+from skymoor.pipeline.overlay import warp_to_reference
 from skymoor.pipeline.register_best import register_best
 from skymoor.pipeline.search import search_reference
 from skymoor.reconstruct import ReconstructOptions, reconstruct, with_focal
-from skymoor.registration import Relief, compare_relief, focal_correction
+from skymoor.registration import HeightScale, estimate_height_scale, focal_correction
 from skymoor.types import Component, DepthMap, Mask, Matches3D, Reference, Registration, Render
 
 DECISIVE = 1 / 50
 """Share of the largest false-alarm probability below which further decoys could not change the verdict."""
 
 
-def register_airborne(job: Job) -> list[Placed]:
+def register_airborne(job: Job) -> list[ComponentResult]:
     """Every component of a set of airborne photos, registered or refused."""
     choices = job.options.reconstruct.stage_options(job.options.engines, shared_camera=True)
     components = reconstruct_set("reconstruct", job, choices)
     return [_register_or_refuse(f"{job.name}-{k}", component, job) for k, component in enumerate(components)]
 
 
-def _register_or_refuse(name: str, component: Component, job: Job) -> Placed:
+def _register_or_refuse(name: str, component: Component, job: Job) -> ComponentResult:
     return or_else(
         lambda: register_component(name, component, job), lambda reason: refused(name, component, reason), name
     )
@@ -56,7 +56,7 @@ def ground_of(name: str, component: Component, labeler: GroundLabeler | None, jo
     return job.store.stage(f"{name}.ground", ground_points, component, job.photos, labeler, progress=progress)
 
 
-def register_component(name: str, component: Component, job: Job) -> Placed:
+def register_component(name: str, component: Component, job: Job) -> ComponentResult:
     """Register one component; once more where the reference's relief corrects its focal length."""
     first = _register(name, component, job)
     correction = focal_correction(first.relief, component.calibration, job.options.relief)
@@ -67,30 +67,30 @@ def register_component(name: str, component: Component, job: Job) -> Placed:
     return second if second.registration.registered else first
 
 
-def _register(name: str, component: Component, job: Job) -> Placed:
+def _register(name: str, component: Component, job: Job) -> ComponentResult:
     options, store = job.options, job.store
     try:
         ground = ground_of(name, component, options.engines.labeler(options.orient.labels), job)
         gravity = estimate_gravity(component, rng=np.random.default_rng(job.seed), ground=ground)
         level_from_sfm = level_from_gravity(component, gravity)
-        level = component.moved(level_from_sfm)
+        level = component.transformed(level_from_sfm)
         depths = densify_component(name, level, job, options.engines.stereo(options.densify.method))
-        checks = store.stage(f"{name}.witnesses", check_camera_poses, level.cameras, depths, job.photos)
+        checks = store.stage(f"{name}.pose_checks", check_camera_poses, level.cameras, depths, job.photos)
         doubted = {check.image for check in checks if check.contradicts}
         depths = [depth_map for depth_map in depths if depth_map.camera.image not in doubted]
         model = _model(name, level, depths, job)
         render = store.stage(f"{name}.nadir", render_nadir, model, options.render, progress=job.track("nadir view"))
     except DegenerateGeometry as error:
         return refused(name, component, str(error))
-    placements = _search(name, render, job)
-    if not placements:
+    hypotheses = _search(name, render, job)
+    if not hypotheses:
         reason = "the reference is too small for the model at any height that was searched"
         nothing = Registration(registered=False, reason=reason, enu_from_level=None)
-        return Placed(name, level, level_from_sfm, nothing, gravity, depths, model, render)
-    registration, matches = _consensus(name, placements, render, job)
-    found = Placed(name, level, level_from_sfm, registration, gravity, depths, model, render, matches)
-    hypotheses = [_hypothesis(placement, render, job.reference) for placement in placements]
-    return replace(found, relief=_relief(registration, render, job), witnesses=checks, hypotheses=hypotheses)
+        return ComponentResult(name, level, level_from_sfm, nothing, gravity, depths, model, render)
+    registration, matches = _consensus(name, hypotheses, render, job)
+    found = ComponentResult(name, level, level_from_sfm, registration, gravity, depths, model, render, matches)
+    on_map = [_on_map(hypothesis, render, job.reference) for hypothesis in hypotheses]
+    return replace(found, relief=_relief(registration, render, job), pose_checks=checks, hypotheses=on_map)
 
 
 def densify_component(name: str, level: Component, job: Job, estimator: DepthEstimator) -> list[DepthMap]:
@@ -113,34 +113,36 @@ def _model(name: str, level: Component, depths: Sequence[DepthMap], job: Job) ->
     return job.store.stage(stage, options.builder(engines), level, depths, monocular=monocular, **own)
 
 
-def _search(name: str, render: Render, job: Job) -> list[Placement]:
+def _search(name: str, render: Render, job: Job) -> list[ImageHypothesis]:
     match, progress = job.options.match, job.track("search")
     heights_m = (match.min_height_m, match.max_height_m)
     settings = (heights_m, match.min_height_confidence, match.search)
     return job.store.stage(f"{name}.search", search_reference, render, job.reference, *settings, progress=progress)
 
 
-def _consensus(name: str, placements: Sequence[Placement], render: Render, job: Job) -> tuple[Registration, Matches3D]:
+def _consensus(
+    name: str, hypotheses: Sequence[ImageHypothesis], render: Render, job: Job
+) -> tuple[Registration, Matches3D]:
     """The registration that most independent matches confirm, accepted or refused."""
     options, match = job.options, job.options.match
     decoys = job.store.stage(
         f"{name}.decoys",
         null_scores,
-        placements[0].score,
+        hypotheses[0].score,
         render,
         job.reference,
         (match.min_height_m, match.max_height_m),
         match.min_height_confidence,
         match.search,
         match.decoys,
-        decisive=options.register.max_chance * DECISIVE,
+        decisive=options.register.max_false_alarm * DECISIVE,
         seed=job.seed,
         progress=job.track("decoys"),
     )
     return job.store.stage(
         f"{name}.register",
         register_best,
-        placements,
+        hypotheses,
         decoys,
         render,
         job.reference,
@@ -154,16 +156,17 @@ def _consensus(name: str, placements: Sequence[Placement], render: Render, job: 
     )
 
 
-def _relief(registration: Registration, render: Render, job: Job) -> Relief | None:
+def _relief(registration: Registration, render: Render, job: Job) -> HeightScale | None:
     """The model's relief against the reference's; None without a registration, or where either is flat."""
     if not registration.registered:
         return None
     reference, options = job.reference, job.options
-    _, up = lay_on_reference(render, registration, reference, options.match.min_height_confidence)
-    return compare_relief(up, reference.height, reference.grid.pixel_m, options.relief)
+    _, up = warp_to_reference(render, registration, reference, options.match.min_height_confidence)
+    return estimate_height_scale(up, reference.height, reference.grid.pixel_m, options.relief)
 
 
-def _hypothesis(placement: Placement, render: Render, reference: Reference) -> Hypothesis:
-    east, north = reference.grid.enu_from_px(np.array([placement.place]))[0].tolist()
-    metres_per_unit = placement.scale * reference.grid.pixel_m / render.view.pixel
-    return Hypothesis(placement.score, east, north, float(np.degrees(placement.heading_rad) % 360), metres_per_unit)
+def _on_map(hypothesis: ImageHypothesis, render: Render, reference: Reference) -> MapHypothesis:
+    east, north = reference.grid.enu_from_px(np.array([hypothesis.place]))[0].tolist()
+    metres_per_unit = hypothesis.scale * reference.grid.pixel_m / render.view.pixel
+    azimuth_deg = float(np.degrees(hypothesis.azimuth_rad) % 360)
+    return MapHypothesis(hypothesis.score, east, north, azimuth_deg, metres_per_unit)

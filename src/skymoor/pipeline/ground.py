@@ -11,13 +11,13 @@ import numpy as np
 
 from skymoor.densify import MetricScale, metric_scale_of_photos
 from skymoor.errors import DegenerateGeometry
-from skymoor.ground import Answers, OneAnswer, decide_jointly
+from skymoor.ground import Hypotheses, OneHypothesis, decide_jointly
 from skymoor.ground.tiles import CascadeOptions, ConsensusOptions, cascade, exhaustive, tile_px_for
 from skymoor.ground.walls import AirborneWalls, GroundOptions, check_ground_poses, search_ground, walls_of_components
 from skymoor.model import render_obliques
 from skymoor.orient import estimate_ground_gravity, level_from_gravity
 from skymoor.pipeline.airborne import densify_component, ground_of, reconstruct_set
-from skymoor.pipeline.job import Hypothesis, Job, Placed, or_else, refused
+from skymoor.pipeline.job import ComponentResult, Job, MapHypothesis, or_else, refused
 from skymoor.types import Component, Registration, Render
 
 T = TypeVar("T", GroundOptions, ConsensusOptions)
@@ -30,12 +30,12 @@ CASCADE, EXHAUSTIVE = CascadeOptions().consensus, ConsensusOptions()
 class _Airborne:
     """What ground components are laid on: the largest airborne component, the walls of all, and renders of it."""
 
-    base: Placed
+    base: ComponentResult
     walls: AirborneWalls | None
     renders: Sequence[Render]
 
 
-def register_ground_sets(jobs: Sequence[Job], airborne: Sequence[Placed]) -> list[list[Placed]]:
+def register_ground_sets(jobs: Sequence[Job], airborne: Sequence[ComponentResult]) -> list[list[ComponentResult]]:
     """Every component of every set of ground photos, placed on the airborne model or refused (paper, section 3.4)."""
     if not jobs:
         return []
@@ -55,25 +55,27 @@ def register_ground_sets(jobs: Sequence[Job], airborne: Sequence[Placed]) -> lis
     decided = dict(zip(names, found, strict=True))
     places = {item.name: _hypotheses(item, answers) for item, answers in searched}
     levelled = [(n, replace(item, hypotheses=places.get(item.name, []))) for n, item in levelled]
-    placed = [(n, _heard_or_refuse(item, decided.get(item.name), ready, jobs[n])) for n, item in levelled]
+    placed = [(n, _check_or_refuse(item, decided.get(item.name), ready, jobs[n])) for n, item in levelled]
     return [[item for n, item in placed if n == number] for number in range(len(jobs))]
 
 
-def _level_or_refuse(name: str, component: Component, airborne: _Airborne | None, job: Job) -> Placed:
+def _level_or_refuse(name: str, component: Component, airborne: _Airborne | None, job: Job) -> ComponentResult:
     return or_else(
         lambda: _level(name, component, airborne, job), lambda reason: refused(name, component, reason), name
     )
 
 
-def _search_or_refuse(item: Placed, airborne: _Airborne, job: Job) -> Answers:
+def _search_or_refuse(item: ComponentResult, airborne: _Airborne, job: Job) -> Hypotheses:
     return or_else(
         lambda: _search(item, airborne, job),
-        lambda reason: OneAnswer(refused(item.name, item.component, reason).registration),
+        lambda reason: OneHypothesis(refused(item.name, item.component, reason).registration),
         item.name,
     )
 
 
-def _heard_or_refuse(item: Placed, found: Registration | None, airborne: _Airborne | None, job: Job) -> Placed:
+def _check_or_refuse(
+    item: ComponentResult, found: Registration | None, airborne: _Airborne | None, job: Job
+) -> ComponentResult:
     return or_else(
         lambda: _heard(item, found, airborne, job),
         lambda reason: replace(item, registration=refused(item.name, item.component, reason).registration),
@@ -81,17 +83,17 @@ def _heard_or_refuse(item: Placed, found: Registration | None, airborne: _Airbor
     )
 
 
-def _hypotheses(item: Placed, answers: Answers) -> list[Hypothesis]:
+def _hypotheses(item: ComponentResult, answers: Hypotheses) -> list[MapHypothesis]:
     """Where a component may stand, believed or not."""
     told, middle = [], np.median([camera.centre for camera in item.component.cameras], axis=0)
     for place, evidence in zip(answers.places, answers.evidence, strict=True):
         east, north, _ = place.apply(middle[None])[0].tolist()
-        turn_deg = -np.degrees(np.arctan2(place.rotation[1, 0], place.rotation[0, 0])) % 360
-        told.append(Hypothesis(evidence, east, north, float(turn_deg), place.scale))
+        azimuth_deg = -np.degrees(np.arctan2(place.rotation[1, 0], place.rotation[0, 0])) % 360
+        told.append(MapHypothesis(evidence, east, north, float(azimuth_deg), place.scale))
     return told
 
 
-def _airborne(bases: Sequence[Placed], job: Job) -> _Airborne | None:
+def _airborne(bases: Sequence[ComponentResult], job: Job) -> _Airborne | None:
     """What is needed of the airborne components; None where no one is registered."""
     if not bases:
         return None
@@ -105,7 +107,7 @@ def _airborne(bases: Sequence[Placed], job: Job) -> _Airborne | None:
     return _Airborne(base, walls, renders)
 
 
-def _renders(base: Placed, job: Job) -> list[Render]:
+def _renders(base: ComponentResult, job: Job) -> list[Render]:
     """The airborne model from above and from all sides."""
     assert base.render is not None
     options, progress = job.options.render, job.track("oblique views")
@@ -113,7 +115,7 @@ def _renders(base: Placed, job: Job) -> list[Render]:
     return [base.render, *obliques]
 
 
-def _level(name: str, component: Component, airborne: _Airborne | None, job: Job) -> Placed:
+def _level(name: str, component: Component, airborne: _Airborne | None, job: Job) -> ComponentResult:
     """A ground component upright and with depth, not placed yet; without depth maps if that is as far as it goes."""
     options, engines = job.options.ground, job.options.engines
     try:
@@ -122,7 +124,7 @@ def _level(name: str, component: Component, airborne: _Airborne | None, job: Job
         ground = ground_of(name, component, engines.labeler(options.labels), job)
         gravity = estimate_ground_gravity(component, job.photos, ground=ground)
         level_from_sfm = level_from_gravity(component, gravity)
-        level = component.moved(level_from_sfm)
+        level = component.transformed(level_from_sfm)
         depths = densify_component(name, level, job, engines.stereo(options.densify))
     except DegenerateGeometry as error:
         return refused(name, component, str(error))
@@ -131,7 +133,7 @@ def _level(name: str, component: Component, airborne: _Airborne | None, job: Job
     return replace(found, metric=_metric(found, job))
 
 
-def _metric(item: Placed, job: Job) -> MetricScale | None:
+def _metric(item: ComponentResult, job: Job) -> MetricScale | None:
     """How many metres a unit of a component is, by what single photos say; None where nobody is asked, or can tell."""
     engine = job.options.engines.metric_scale(job.options.ground.metric)
     if engine is None:
@@ -140,7 +142,7 @@ def _metric(item: Placed, job: Job) -> MetricScale | None:
     return job.store.stage(f"{item.name}.metric", metric_scale_of_photos, item.depths, engine, progress=progress)
 
 
-def _of_size(options: T, item: Placed) -> T:
+def _of_size(options: T, item: ComponentResult) -> T:
     """Options of a search, without the scales that metric depth denies."""
     if item.metric is None:
         return options
@@ -148,12 +150,12 @@ def _of_size(options: T, item: Placed) -> T:
     return replace(options, min_scale=low, max_scale=high)
 
 
-def _search(item: Placed, airborne: _Airborne, job: Job) -> Answers:
+def _search(item: ComponentResult, airborne: _Airborne, job: Job) -> Hypotheses:
     """Where a component may stand, by the chosen method."""
     if job.options.ground.method != "walls":
         return _search_tiles(item, airborne, job)
     if airborne.walls is None:
-        return OneAnswer(refused(item.name, item.component, "the airborne model shows no surface").registration)
+        return OneHypothesis(refused(item.name, item.component, "the airborne model shows no surface").registration)
     options, progress = _of_size(job.options.ground.walls, item), job.track(f"{item.name}: walls")
     rng = np.random.default_rng(job.seed)
     return job.store.stage(
@@ -161,7 +163,7 @@ def _search(item: Placed, airborne: _Airborne, job: Job) -> Answers:
     )
 
 
-def _search_tiles(item: Placed, airborne: _Airborne, job: Job) -> OneAnswer:
+def _search_tiles(item: ComponentResult, airborne: _Airborne, job: Job) -> OneHypothesis:
     """Where the tiles of the airborne model's renders say that a component stands."""
     ground, matcher = job.options.ground, job.options.ground.dense_matcher(job.options.engines)
     common: dict[str, Any] = {
@@ -174,14 +176,14 @@ def _search_tiles(item: Placed, airborne: _Airborne, job: Job) -> OneAnswer:
         if ground.method == "cascade":
             retriever = job.options.engines.retriever(ground.retriever)
             few = replace(ground.cascade, consensus=_consensus(CASCADE, item, airborne), retriever=retriever)
-            return OneAnswer(job.store.stage(name, cascade, maps, renders, matcher, few, **common))
+            return OneHypothesis(job.store.stage(name, cascade, maps, renders, matcher, few, **common))
         every = _consensus(EXHAUSTIVE, item, airborne)
-        return OneAnswer(job.store.stage(name, exhaustive, maps, renders, matcher, every, **common))
+        return OneHypothesis(job.store.stage(name, exhaustive, maps, renders, matcher, every, **common))
     except DegenerateGeometry as error:
-        return OneAnswer(refused(item.name, item.component, str(error)).registration)
+        return OneHypothesis(refused(item.name, item.component, str(error)).registration)
 
 
-def _consensus(options: ConsensusOptions, item: Placed, airborne: _Airborne) -> ConsensusOptions:
+def _consensus(options: ConsensusOptions, item: ComponentResult, airborne: _Airborne) -> ConsensusOptions:
     """Options of the tile search for a component: its scales, and tiles of its photos' size, where metres are known."""
     options = _of_size(options, item)
     placed = airborne.base.registration.enu_from_level
@@ -192,7 +194,7 @@ def _consensus(options: ConsensusOptions, item: Placed, airborne: _Airborne) -> 
     return replace(options, pictures=replace(options.pictures, tile_px=tile_px))
 
 
-def _heard(item: Placed, found: Registration | None, airborne: _Airborne | None, job: Job) -> Placed:
+def _heard(item: ComponentResult, found: Registration | None, airborne: _Airborne | None, job: Job) -> ComponentResult:
     """A component with its place, with what each of its cameras says of that, and with a picture."""
     if found is None or airborne is None:
         return item
@@ -210,4 +212,4 @@ def _heard(item: Placed, found: Registration | None, airborne: _Airborne | None,
         max_px=job.options.engines.stereo(job.options.ground.densify).max_px,
         seed=job.seed,
     )
-    return replace(item, registration=found, walls=figure, witnesses=tuple(checks))
+    return replace(item, registration=found, walls=figure, pose_checks=tuple(checks))

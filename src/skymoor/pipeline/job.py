@@ -10,13 +10,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from skymoor.densify import MetricScale, PhotoWitness
+from skymoor.densify import MetricScale, PoseCheck
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.geometry import Similarity
-from skymoor.ground.walls import CameraWitness
+from skymoor.ground.walls import GroundPoseCheck
 from skymoor.model import SceneModel
 from skymoor.pipeline.options import Options
-from skymoor.registration import Relief
+from skymoor.registration import HeightScale
 from skymoor.store import Store
 from skymoor.types import (
     Array,
@@ -56,28 +56,28 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class MapHypothesis:
     """One of the places where a component may be, whether or not it is believed.
 
     Attributes:
         score: what speaks for it; of one component they compare with each other.
         east, north: where the middle of the airborne render, or of the ground cameras, would be, metres of the site.
-        turn_deg: clockwise from the level frame, seen from above, 0 to 360.
+        azimuth_deg: clockwise from the level frame, seen from above, 0 to 360.
         metres_per_unit: of the level frame.
     """
 
     score: float
     east: float
     north: float
-    turn_deg: float
+    azimuth_deg: float
     metres_per_unit: float
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class ComponentResult:
     """A component and all that was found out about its place. `component` is in the `level` frame.
 
-    `name` is that of its stages. Each of its photos may have said whether it agrees with the others (`witnesses`). A
+    `name` is that of its stages. Each of its photos may have said whether it agrees with the others (`pose_checks`). A
     ground component stands on `base`, an airborne one; `walls` shows both; `metric` is its size as single photos say.
     `hypotheses` are all places that were found, the likeliest first.
     """
@@ -91,12 +91,12 @@ class Placed:
     model: SceneModel | None = None
     render: Render | None = None
     matches: Matches3D | None = None
-    relief: Relief | None = None
-    base: Placed | None = None
+    relief: HeightScale | None = None
+    base: ComponentResult | None = None
     walls: Image | None = None
-    witnesses: Sequence[CameraWitness | PhotoWitness] = ()
+    pose_checks: Sequence[GroundPoseCheck | PoseCheck] = ()
     metric: MetricScale | None = None
-    hypotheses: Sequence[Hypothesis] = ()
+    hypotheses: Sequence[MapHypothesis] = ()
 
     @property
     def cameras_enu(self) -> list[Camera]:
@@ -105,7 +105,7 @@ class Placed:
         if not found.registered or found.enu_from_level is None:
             return []
         trusted = zip(self.component.cameras, self._trusted, strict=True)
-        return [camera.moved(found.enu_from_level) for camera, is_trusted in trusted if is_trusted]
+        return [camera.transformed(found.enu_from_level) for camera, is_trusted in trusted if is_trusted]
 
     @property
     def shape_enu(self) -> Array | None:
@@ -122,18 +122,18 @@ class Placed:
         placed = self.registration.enu_from_level
         if not self.registration.registered or placed is None:
             return None
-        return self.component.of_cameras(self._trusted).moved(placed)
+        return self.component.of_cameras(self._trusted).transformed(placed)
 
     @property
     def _trusted(self) -> Mask:
-        doubted = {witness.image for witness in self.witnesses if witness.contradicts}
+        doubted = {check.image for check in self.pose_checks if check.contradicts}
         return np.array([camera.image not in doubted for camera in self.component.cameras], bool)
 
 
-def refused(name: str, component: Component, reason: str) -> Placed:
+def refused(name: str, component: Component, reason: str) -> ComponentResult:
     """A component that has no place, with the reason."""
     nothing = Registration(registered=False, reason=reason, enu_from_level=None)
-    return Placed(name, component, Similarity.identity(), nothing)
+    return ComponentResult(name, component, Similarity.identity(), nothing)
 
 
 def or_else(action: Callable[[], T], otherwise: Callable[[str], T], what: str) -> T:

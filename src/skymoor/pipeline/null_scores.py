@@ -9,7 +9,7 @@ from skymoor.match.decoys import DecoyOptions, decoy_scores
 from skymoor.match.rasters import nadir_raster, reference_raster
 from skymoor.match.search import SearchOptions
 from skymoor.pipeline.search import scales_of
-from skymoor.registration.chance import chance_probability
+from skymoor.registration.significance import false_alarm_probability
 from skymoor.types import Progress, Reference, Render, no_progress
 
 
@@ -44,6 +44,6 @@ def null_scores(
         options=options,
         decoys=decoys,
         rng=np.random.default_rng(seed),
-        enough=lambda scores: chance_probability(best_score, scores) < decisive,
+        enough=lambda scores: false_alarm_probability(best_score, scores) < decisive,
         progress=progress,
     )

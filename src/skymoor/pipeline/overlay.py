@@ -12,7 +12,7 @@ from skymoor.match.rasters import nadir_raster
 from skymoor.types import Array, Array32, Raster, Reference, Registration, Render
 
 
-def lay_on_reference(
+def warp_to_reference(
     render: Render, registration: Registration, reference: Reference, min_confidence: float
 ) -> tuple[Raster, Array32]:
     """The registered nadir render on the reference's grid, and its believed heights, ENU up in metres."""

@@ -7,18 +7,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skymoor.match.align import match_placed
+from skymoor.match.align import match_hypothesis
 from skymoor.match.cyclic import CyclicOptions
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.rasters import nadir_raster, reference_raster
-from skymoor.match.search import Placement
-from skymoor.pipeline.overlay import lay_on_reference
-from skymoor.registration import LiftOptions, RegisterOptions, height_agreement, judge, lift, register
+from skymoor.match.search import ImageHypothesis
+from skymoor.pipeline.overlay import warp_to_reference
+from skymoor.registration import LiftOptions, RegisterOptions, decide, height_agreement, lift, register
 from skymoor.types import Matches3D, Reference, Registration, Render
 
 
 def register_best(
-    placements: Sequence[Placement],
+    hypotheses: Sequence[ImageHypothesis],
     decoys: Sequence[float],
     render: Render,
     reference: Reference,
@@ -34,7 +34,7 @@ def register_best(
     """The registration of the best hypothesis, accepted or refused, and its matches.
 
     Args:
-        placements: hypotheses of the search, best first; `candidates` of them are matched.
+        hypotheses: hypotheses of the search, best first; `candidates` of them are matched.
         decoys: null scores of the same search.
         render, reference: what is matched, by `matcher`.
         min_confidence: heights of the render below it are left out.
@@ -44,17 +44,17 @@ def register_best(
     rng = np.random.default_rng(seed)
     image, map_image = nadir_raster(render, min_confidence), reference_raster(reference)
     results: list[tuple[Registration, Matches3D]] = []
-    for k, placement in enumerate(placements[:candidates]):
-        b_from_a = placement.matrix(image.mask.shape)
-        metres_per_level = placement.scale * reference.grid.pixel_m / render.view.pixel
-        matches_2d, _ = match_placed(image, map_image, b_from_a, matcher, cyclic, rng=rng)
+    for k, hypothesis in enumerate(hypotheses[:candidates]):
+        b_from_a = hypothesis.matrix(image.mask.shape)
+        metres_per_level = hypothesis.scale * reference.grid.pixel_m / render.view.pixel
+        matches_2d, _ = match_hypothesis(image, map_image, b_from_a, matcher, cyclic, rng=rng)
         matches = lift(matches_2d, render, reference, metres_per_level, lift_options)
         registration = register(matches, reference.grid.pixel_m, options, rng=rng)
         heights = None
         if registration.registered:
-            _, up = lay_on_reference(render, registration, reference, min_confidence)
+            _, up = warp_to_reference(render, registration, reference, min_confidence)
             heights = height_agreement(up, reference.height, reference.grid.pixel_m)
-        scores = [placement.score, *(other.score for j, other in enumerate(placements) if j != k)]
-        found = judge(registration, scores, len(matches_2d), options, decoys=decoys, heights=heights)
+        scores = [hypothesis.score, *(other.score for j, other in enumerate(hypotheses) if j != k)]
+        found = decide(registration, scores, len(matches_2d), options, decoys=decoys, heights=heights)
         results.append((found, matches))
     return max(results, key=lambda result: (result[0].registered, result[0].diagnostics.get("cells", 0.0)))

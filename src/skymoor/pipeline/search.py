@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from skymoor.match.rasters import nadir_raster, reference_raster
-from skymoor.match.search import Placement, SearchOptions, search_placements
+from skymoor.match.search import ImageHypothesis, SearchOptions, search_hypotheses
 from skymoor.types import Progress, Reference, Render, no_progress
 
 
@@ -16,13 +16,13 @@ def search_reference(
     options: SearchOptions,
     *,
     progress: Progress = no_progress,
-) -> list[Placement]:
+) -> list[ImageHypothesis]:
     """Hypotheses of the render's place, best first; an empty list where the reference is too small at every height.
 
     `heights_m` are the least and the largest metres per unit of the level frame, which is the flying height.
     """
     low, high = scales_of(render, reference, heights_m)
-    return search_placements(
+    return search_hypotheses(
         nadir_raster(render, min_confidence),
         reference_raster(reference),
         min_scale=low,

@@ -9,9 +9,9 @@ from skymoor.reconstruct._doppelgangers import DoppelgangerClassifier
 from skymoor.reconstruct._sift import SiftMatcher
 from skymoor.reconstruct.calibration import with_focal
 from skymoor.reconstruct.doppelgangers import ConflictFilter
-from skymoor.reconstruct.lenses import LensOptions
 from skymoor.reconstruct.mapping import ReconstructOptions, ground_options, reconstruct
 from skymoor.reconstruct.protocol import PairFilter, PairMatcher, ViewGraph
+from skymoor.reconstruct.shared_intrinsics import IntrinsicsOptions
 
 __all__ = [
     "AlikedPairMatcher",
@@ -21,8 +21,8 @@ __all__ = [
     "DedodeRomaMatcher",
     "DenseWarp",
     "DoppelgangerClassifier",
+    "IntrinsicsOptions",
     "KeypointDetector",
-    "LensOptions",
     "PairFilter",
     "PairMatcher",
     "ReconstructOptions",

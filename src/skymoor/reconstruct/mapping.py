@@ -20,15 +20,15 @@ from skymoor.reconstruct._sift import SiftMatcher
 from skymoor.reconstruct.calibration import adjust, calibrate
 from skymoor.reconstruct.doppelgangers import ConflictFilter
 from skymoor.reconstruct.graph import drop_pairs
-from skymoor.reconstruct.lenses import (
-    LensOptions,
-    share_lenses,
-    shared_lenses,
+from skymoor.reconstruct.protocol import PairFilter, PairMatcher, colmap_name
+from skymoor.reconstruct.shared_intrinsics import (
+    IntrinsicsOptions,
+    group_intrinsics,
+    shared_intrinsics,
     without_doubtful,
     without_impossible,
-    write_lenses,
+    write_intrinsics,
 )
-from skymoor.reconstruct.protocol import PairFilter, PairMatcher, colmap_name
 from skymoor.reconstruct.uncertainty import centre_covariances
 from skymoor.types import Component, Photos, Progress, no_progress
 
@@ -52,7 +52,7 @@ class ReconstructOptions:
     min_cameras: int = 3
     refine_principal_point: bool = True
     mixed_lenses: bool = False
-    lens: LensOptions = field(default_factory=LensOptions)
+    lens: IntrinsicsOptions = field(default_factory=IntrinsicsOptions)
     min_inliers: int = 15
     pair_filter: PairFilter | None = None
 
@@ -129,7 +129,7 @@ def _improved(
     rounds = 0 if pair_filter is None else pair_filter.rounds
     for round_ in range(rounds + 2):
         if options.mixed_lenses:
-            models = [share_lenses(model, options.lens) for model in models]
+            models = [group_intrinsics(model, options.lens) for model in models]
         certain = _certain(models, options)
         mapping, changed = _mapping_options(options, seed), False
         with pycolmap.Database.open(database) as db:
@@ -137,7 +137,7 @@ def _improved(
                 components = tuple(component_from_colmap(model, names) for model in certain)
                 changed = drop_pairs(db, photos, components, pair_filter) > 0
             if options.mixed_lenses:
-                mapping.constant_cameras = write_lenses(db, shared_lenses(models, options.lens))
+                mapping.constant_cameras = write_intrinsics(db, shared_intrinsics(models, options.lens))
                 mapping.mapper.abs_pose_min_num_inliers = options.min_inliers
                 changed = changed or round_ == 0
         if not changed:

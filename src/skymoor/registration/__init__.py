@@ -2,21 +2,21 @@
 """Pixels to points, points to a place on Earth, its accuracy, and whether it is accepted (paper, section 3.3)."""
 
 from skymoor.registration.airborne import RegisterOptions, independent_cells, register, restated, with_covariance_of
-from skymoor.registration.chance import false_alarm_probability, height_agreement
 from skymoor.registration.covariance import CameraAccuracy, camera_accuracy
 from skymoor.registration.lift import LiftOptions, lift
 from skymoor.registration.refusal import decide
-from skymoor.registration.relief import Relief, ReliefOptions, compare_relief, focal_correction
+from skymoor.registration.relief import HeightScale, HeightScaleOptions, estimate_height_scale, focal_correction
+from skymoor.registration.significance import false_alarm_probability, height_agreement
 
 __all__ = [
     "CameraAccuracy",
+    "HeightScale",
+    "HeightScaleOptions",
     "LiftOptions",
     "RegisterOptions",
-    "Relief",
-    "ReliefOptions",
     "camera_accuracy",
-    "compare_relief",
     "decide",
+    "estimate_height_scale",
     "false_alarm_probability",
     "focal_correction",
     "height_agreement",

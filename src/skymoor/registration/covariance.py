@@ -18,8 +18,8 @@ from skymoor.geometry import Similarity, point_covariance
 from skymoor.geometry.adjust import sandwich_covariance
 from skymoor.types import Array, Calibration, Reference, Registration
 
-REACHES = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # over which errors are alike, of the model's length
-SHARES = (0.0, 0.03, 0.1, 0.3, 0.6, 0.9)  # of the variance that is so
+CORRELATION_LENGTHS = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # over which errors are alike, of the model's length
+CORRELATED_FRACTIONS = (0.0, 0.03, 0.1, 0.3, 0.6, 0.9)  # of the variance that is so
 MATCHES, LIKELIHOOD_MATCHES = 1000, 400  # of which the covariance and the likelihood are made, at most
 MIN_MATCHES = 8
 PLAN_RANK = 1e-6  # spread across a line in plan, of that along it, below which places are on the line
@@ -76,10 +76,10 @@ def matched_covariance(
     source, target = source[some], target[some]
     placed = transform.apply(source)
     gap = cdist(placed, placed)
-    reaches = [max(float(gap.max()) * ratio, 1.0) for ratio in REACHES]
+    reaches = [max(float(gap.max()) * ratio, 1.0) for ratio in CORRELATION_LENGTHS]
     few = np.sort(rng.permutation(len(some))[:LIKELIHOOD_MATCHES])
     residuals = (placed - target)[few]
-    near = [_alike(gap[np.ix_(few, few)], reach) for reach in reaches]
+    near = [_matern32(gap[np.ix_(few, few)], reach) for reach in reaches]
     kinds = _likelihoods([residuals[:, :2], residuals[:, 2:]], placed[few, :2], near)
     horizontal, vertical = _mean_covariances(gap, reaches, kinds, white=len(some) / n)
     covariance, centre = sandwich_covariance(
@@ -101,7 +101,7 @@ class _Kind:
     variances: Array
 
 
-def _alike(gap: Array, reach: float) -> Array:
+def _matern32(gap: Array, reach: float) -> Array:
     """Correlation of errors at places so far apart: Matern's of smoothness 3/2."""
     scaled = np.sqrt(3.0) / reach * gap
     return np.asarray((1 + scaled) * np.exp(-scaled))
@@ -121,9 +121,9 @@ def _likelihoods(kinds: list[Array], plan: Array, near: list[Array]) -> list[_Ki
     n = len(plan)
     design = _plane_basis(plan)
     free = n - design.shape[1]
-    logs, variances = (np.zeros((len(kinds), len(near), len(SHARES))) for _ in range(2))
+    logs, variances = (np.zeros((len(kinds), len(near), len(CORRELATED_FRACTIONS))) for _ in range(2))
     for k, alike in enumerate(near):
-        for m, share in enumerate(SHARES):
+        for m, share in enumerate(CORRELATED_FRACTIONS):
             root = cholesky(share * alike + (1 - share) * np.eye(n), lower=True)
             fit = solve_triangular(root, design, lower=True)
             normal = fit.T @ fit
@@ -156,11 +156,11 @@ def _mean_covariances(gap: Array, reaches: list[float], kinds: list[_Kind], *, w
     A part of the matches stands for all of them, whose independent errors average out further: `white` is what that
     part of a variance counts.
     """
-    shares = np.array(SHARES)
+    shares = np.array(CORRELATED_FRACTIONS)
     weights = [kind.likely * kind.variances for kind in kinds]
     totals = [float((w * (1 - shares)).sum()) * white * np.eye(len(gap)) for w in weights]
     for k, reach in enumerate(reaches):
-        alike = _alike(gap, reach)
+        alike = _matern32(gap, reach)
         for total, w in zip(totals, weights, strict=True):
             total += float((w[k] * shares).sum()) * alike
     return totals

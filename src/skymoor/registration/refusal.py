@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from skymoor.registration.airborne import RegisterOptions
-from skymoor.registration.chance import false_alarm_probability
 from skymoor.registration.criteria import ESTIMATE, criterion, with_criteria
+from skymoor.registration.significance import false_alarm_probability
 from skymoor.types import Criterion, Registration
 
 

@@ -18,7 +18,7 @@ from skymoor.types import Array, Array32, Calibration
 
 
 @dataclass(frozen=True)
-class ReliefOptions:
+class HeightScaleOptions:
     """When relief decides.
 
     Attributes:
@@ -33,7 +33,7 @@ class ReliefOptions:
 
 
 @dataclass(frozen=True)
-class Relief:
+class HeightScale:
     """Reference heights over model heights, and the standard deviation of this ratio; the ratio is 1 if all is well."""
 
     ratio: float
@@ -67,15 +67,15 @@ def shared_heights(
     return plane, blurred_a, blurred_b, places
 
 
-def compare_relief(
-    model_height: Array32, reference_height: Array32, pixel_m: float, options: ReliefOptions | None = None
-) -> Relief | None:
+def estimate_height_scale(
+    model_height: Array32, reference_height: Array32, pixel_m: float, options: HeightScaleOptions | None = None
+) -> HeightScale | None:
     """Compare two height maps (h, w) in metres on one grid, NaN where unknown; None where they share too little.
 
     The model's must already have the registration's scale. Robust linear regression (Tukey) with a plane as nuisance;
     the number of independent places follows from the blur.
     """
-    options = options or ReliefOptions()
+    options = options or HeightScaleOptions()
     shared = shared_heights(model_height, reference_height, pixel_m, options.blur_m)
     if shared is None:
         return None
@@ -92,17 +92,17 @@ def compare_relief(
     if np.linalg.cond(normal) > 1e10:
         return None
     variance = float(np.linalg.inv(normal)[0, 0]) * spread**2 * max(1.0, len(model) / places)
-    return Relief(float(solution[0]), float(np.hypot(np.sqrt(variance), options.systematic_ratio)))
+    return HeightScale(float(solution[0]), float(np.hypot(np.sqrt(variance), options.systematic_ratio)))
 
 
 def focal_correction(
-    relief: Relief | None, calibration: Calibration | None, options: ReliefOptions | None = None
+    relief: HeightScale | None, calibration: Calibration | None, options: HeightScaleOptions | None = None
 ) -> tuple[float, float] | None:
     """By what to multiply the focal length, and its relative standard deviation then; None to leave it.
 
     The photos' own interval and the relief are weighed as two measurements of one number, in logarithms.
     """
-    options = options or ReliefOptions()
+    options = options or HeightScaleOptions()
     if relief is None or calibration is None or not calibration.uncertain or relief.ratio <= 0.3:
         return None
     own = max(calibration.focal_sigma, 1e-3)

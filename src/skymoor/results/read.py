@@ -28,7 +28,7 @@ RUN_FIRST = "run skymoor run first"
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedComponent:
+class ComponentSummary:
     """One component of a set of photos; `summary` is its part of summary.json, and the rest is for convenience.
 
     Attributes:
@@ -69,7 +69,7 @@ class Result:
     summary: dict[str, Any]
     frame: EnuFrame
     covariance: Array
-    components: tuple[PlacedComponent, ...]
+    components: tuple[ComponentSummary, ...]
 
     @classmethod
     def read(cls, folder: Path | str) -> Result:
@@ -117,7 +117,7 @@ class Result:
             raise InputError(f"{path or image}: the photo is not where the run found it; put it back, or {RUN_FIRST}")
         return path
 
-    def model(self, component: PlacedComponent) -> pycolmap.Reconstruction:
+    def model(self, component: ComponentSummary) -> pycolmap.Reconstruction:
         """The COLMAP model of a component in ENU metres. Raises `InputError` where it has none, or it is damaged."""
         import pycolmap
 
@@ -127,7 +127,7 @@ class Result:
         except Exception as error:  # of a file that is cut off, anything
             raise InputError(f"{folder}: no COLMAP model of the run; {RUN_FIRST}") from error
 
-    def residuals(self, component: PlacedComponent) -> Array | None:
+    def residuals(self, component: ComponentSummary) -> Array | None:
         """What the transform leaves at the matches that agree, (n, 3) metres east, north, up; None if not kept."""
         try:
             with np.load(self.folder / "matches" / f"{component.name}.npz", allow_pickle=False) as arrays:
@@ -148,14 +148,14 @@ class Result:
         return summary_html(self.summary)
 
 
-def _component(set_name: str, summary: dict[str, Any]) -> PlacedComponent:
+def _component(set_name: str, summary: dict[str, Any]) -> ComponentSummary:
     transform = summary.get("enu_from_sfm")
     similarity = None
     if transform is not None:
         similarity = Similarity.from_quaternion_wxyz(
             transform["scale"], transform["quaternion_wxyz"], transform["translation_m"]
         )
-    return PlacedComponent(
+    return ComponentSummary(
         set=str(set_name),
         index=int(summary["component"]),
         registered=summary["status"] == "REGISTERED",

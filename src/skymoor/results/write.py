@@ -15,10 +15,10 @@ from skymoor.engines.colmap import write_colmap
 from skymoor.errors import DegenerateGeometry
 from skymoor.geo import ce90_m, le90_m
 from skymoor.geometry import Similarity
-from skymoor.pipeline.job import Placed
+from skymoor.pipeline.job import ComponentResult
 from skymoor.pipeline.option_parser import option_values
 from skymoor.pipeline.options import MatchOptions, Options
-from skymoor.pipeline.overlay import lay_on_reference
+from skymoor.pipeline.overlay import warp_to_reference
 from skymoor.pipeline.site import Site
 from skymoor.registration import CameraAccuracy, camera_accuracy
 from skymoor.results.formats import (
@@ -33,11 +33,11 @@ from skymoor.results.formats import (
     unplaced_cameras,
 )
 from skymoor.results.report.renderings import (
-    confidence_picture,
-    height_picture,
-    match_picture,
-    overlay_picture,
-    residual_picture,
+    confidence_figure,
+    height_figure,
+    match_figure,
+    overlay_figure,
+    residual_figure,
 )
 from skymoor.store import Store
 from skymoor.types import Array, Reference
@@ -47,16 +47,16 @@ GROUND_STEP_PX = 3  # ground photos see the same wall often: a ninth of their pi
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedSet:
+class SetResult:
     """A set of photos by its name, its folder, the names of its images, and what became of its components."""
 
     name: str
     folder: Path
     images: Sequence[str]
-    placed: Sequence[Placed]
+    placed: Sequence[ComponentResult]
 
 
-def accuracy_of(placed: Placed, reference: Reference) -> CameraAccuracy:
+def accuracy_of(placed: ComponentResult, reference: Reference) -> CameraAccuracy:
     """How well the cameras of a registered component are known.
 
     A ground component stands on an airborne one, and inherits how unsure that is at the place of its cameras.
@@ -82,7 +82,7 @@ def figures_of(accuracy: CameraAccuracy) -> Array:
 
 
 def write_products(
-    sets: Sequence[PlacedSet],
+    sets: Sequence[SetResult],
     site: Site,
     reference: Reference,
     options: Options,
@@ -122,7 +122,7 @@ def write_products(
     return summary
 
 
-def camera_rows(found: PlacedSet, reference: Reference) -> list[CameraRow]:
+def camera_rows(found: SetResult, reference: Reference) -> list[CameraRow]:
     """Rows of cameras.csv. Components overlap: a photo counts in the first, largest one that holds it."""
     rows: list[CameraRow] = []
     seen: set[str] = set()
@@ -139,7 +139,7 @@ def camera_rows(found: PlacedSet, reference: Reference) -> list[CameraRow]:
     return rows + unplaced_cameras(found.name, None, [image for image in found.images if image not in seen])
 
 
-def _set_summary(found: PlacedSet, reference: Reference) -> dict[str, Any]:
+def _set_summary(found: SetResult, reference: Reference) -> dict[str, Any]:
     taken = {camera.image for item in found.placed for camera in item.component.cameras}
     good = bool(found.placed) and all(item.registration.registered for item in found.placed)
     return {
@@ -153,7 +153,7 @@ def _set_summary(found: PlacedSet, reference: Reference) -> dict[str, Any]:
     }
 
 
-def _component_summary(index: int, item: Placed, reference: Reference) -> dict[str, Any]:
+def _component_summary(index: int, item: ComponentResult, reference: Reference) -> dict[str, Any]:
     found = item.registration
     calibration = item.component.calibration
     summary: dict[str, Any] = {
@@ -174,7 +174,7 @@ def _component_summary(index: int, item: Placed, reference: Reference) -> dict[s
         "metric_scale": item.metric,
         "relief": item.relief,
         "hypotheses": _hypotheses(item, reference),
-        "contradicting_cameras": [witness.image for witness in item.witnesses if witness.contradicts],
+        "contradicting_cameras": [check.image for check in item.pose_checks if check.contradicts],
     }
     if found.registered and found.enu_from_level is not None:
         ce90, le90, relative_ce90, relative_le90 = figures_of(accuracy_of(item, reference)).mean(axis=0).tolist()
@@ -186,7 +186,7 @@ def _component_summary(index: int, item: Placed, reference: Reference) -> dict[s
     return summary
 
 
-def _hypotheses(item: Placed, reference: Reference, count: int = 3) -> list[dict[str, float]]:
+def _hypotheses(item: ComponentResult, reference: Reference, count: int = 3) -> list[dict[str, float]]:
     """The likeliest places of a component, whichever is believed."""
     told = []
     for one in item.hypotheses[:count]:
@@ -195,7 +195,7 @@ def _hypotheses(item: Placed, reference: Reference, count: int = 3) -> list[dict
     return told
 
 
-def calibration_note(item: Placed) -> str:
+def calibration_note(item: ComponentResult) -> str:
     """What a person must know about the focal length, empty where it is well known."""
     calibration = item.component.calibration
     if calibration is None or not calibration.uncertain or item.base is not None:
@@ -211,7 +211,9 @@ def calibration_note(item: Placed) -> str:
     return note
 
 
-def _write_component(name: str, item: Placed, reference: Reference, options: MatchOptions, store: Store) -> None:
+def _write_component(
+    name: str, item: ComponentResult, reference: Reference, options: MatchOptions, store: Store
+) -> None:
     _write_pictures(name, item, reference, options, store)
     found, enu = item.registration, item.component_enu
     if enu is not None and found.enu_from_level is not None:
@@ -222,20 +224,22 @@ def _write_component(name: str, item: Placed, reference: Reference, options: Mat
         store.remove(f"colmap/{name}")
 
 
-def _write_pictures(name: str, item: Placed, reference: Reference, options: MatchOptions, store: Store) -> None:
+def _write_pictures(
+    name: str, item: ComponentResult, reference: Reference, options: MatchOptions, store: Store
+) -> None:
     render, found = item.render, item.registration
     if item.walls is not None:
         store.write_png(f"matches/{name}_walls.png", item.walls)
     if render is None:
         return
     store.write_png(f"renders/{name}_nadir_rgb.png", render.rgb)
-    store.write_png(f"renders/{name}_nadir_height.png", height_picture(render.xyz[..., 2]))
-    store.write_png(f"renders/{name}_nadir_confidence.png", confidence_picture(render.confidence))
+    store.write_png(f"renders/{name}_nadir_height.png", height_figure(render.xyz[..., 2]))
+    store.write_png(f"renders/{name}_nadir_confidence.png", confidence_figure(render.confidence))
     store.write_npz(f"renders/{name}_nadir.npz", rgb=render.rgb, xyz=render.xyz, confidence=render.confidence)
     if item.matches is None:
         return
     pixels = item.matches.pixels
-    picture = match_picture(render.rgb, reference.rgb, pixels, found.inliers)
+    picture = match_figure(render.rgb, reference.rgb, pixels, found.inliers)
     store.write_png(f"matches/{name}_matches.png", picture)
     inliers = np.zeros(len(pixels), bool) if found.inliers is None else found.inliers
     residuals = np.full((len(pixels), 3), np.nan) if found.residuals_m is None else found.residuals_m
@@ -252,13 +256,15 @@ def _write_pictures(name: str, item: Placed, reference: Reference, options: Matc
     if found.enu_from_level is None or found.residuals_m is None:
         return
     pixel_m = reference.grid.pixel_m
-    laid, _ = lay_on_reference(render, found, reference, options.min_height_confidence)
-    store.write_png(f"matches/{name}_overlay.png", overlay_picture(laid, reference.rgb, pixel_m=pixel_m))
-    arrows = residual_picture(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
+    laid, _ = warp_to_reference(render, found, reference, options.min_height_confidence)
+    store.write_png(f"matches/{name}_overlay.png", overlay_figure(laid, reference.rgb, pixel_m=pixel_m))
+    arrows = residual_figure(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
     store.write_png(f"matches/{name}_residuals.png", arrows)
 
 
-def _write_rasters(placed: Sequence[Placed], reference: Reference, options: MatchOptions, store: Store) -> None:
+def _write_rasters(
+    placed: Sequence[ComponentResult], reference: Reference, options: MatchOptions, store: Store
+) -> None:
     """pointcloud.laz, ortho.tif and dsm.tif of all registered components; smaller ones fill what larger leave."""
     rgb = np.zeros((*reference.grid.shape, 3), np.uint8)
     height = np.full(reference.grid.shape, np.nan, np.float32)
@@ -274,7 +280,7 @@ def _write_rasters(placed: Sequence[Placed], reference: Reference, options: Matc
         believed = item.render.confidence >= options.min_height_confidence
         clouds.append(item.registration.enu_from_level.apply(item.render.xyz[believed].astype(np.float64)))
         colours.append(item.render.rgb[believed])
-        laid, up = lay_on_reference(item.render, item.registration, reference, options.min_height_confidence)
+        laid, up = warp_to_reference(item.render, item.registration, reference, options.min_height_confidence)
         fill = np.isnan(height) & np.isfinite(up)
         rgb[fill], height[fill] = laid.rgb[fill], up[fill]
     names = ("pointcloud.laz", "ortho.tif", "dsm.tif")

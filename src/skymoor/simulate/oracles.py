@@ -63,7 +63,7 @@ class OracleDepth:
         maps = []
         for done, (camera, (_, scene)) in enumerate(zip(component.cameras, truths, strict=True)):
             small, rgb = _undistorted(camera, photos.read(camera.image), self.max_px)
-            exact = true_depth(scene, small.moved(enu_from_sfm)) / np.float32(enu_from_sfm.scale)
+            exact = true_depth(scene, small.transformed(enu_from_sfm)) / np.float32(enu_from_sfm.scale)
             depth = self._erring(exact, stream(self.seed, "depth", camera.image))
             sigma = (max(self.noise_ratio, 1e-3) * depth).astype(np.float32)
             maps.append(DepthMap(small, depth, sigma, np.full(depth.shape, 3, np.uint8), rgb))

@@ -12,7 +12,7 @@ from skymoor.errors import DegenerateGeometry
 from skymoor.geometry import Similarity
 from skymoor.ground.tiles import tile_px_for
 from skymoor.ground.tiles.images import airborne_tiles, ground_photo, lift_pair, samples_of, shown_shares
-from skymoor.ground.walls import moved_map
+from skymoor.ground.walls import transformed_depth_map
 from skymoor.types import Matches2D
 from support.tile_world import BOXES, PICTURES, PIXEL_M, TileWorld
 
@@ -95,7 +95,7 @@ def test_tiles_show_as_much_as_photos(world: TileWorld) -> None:
     """A photo 96 pixels wide through a lens of 76 pixels shows 96/76 of its distance."""
     maps = world.walk(5)
     distance_m = np.median([np.nanmedian(m.depth) for m in maps])
-    half = [moved_map(m, Similarity(0.5, np.eye(3), np.zeros(3))) for m in maps]
+    half = [transformed_depth_map(m, Similarity(0.5, np.eye(3), np.zeros(3))) for m in maps]
     for given, metres_per_unit in ((maps, 1.0), (half, 2.0)):
         side_px = tile_px_for(given, metres_per_unit, 0.01, least=1, most=10**6)
         assert side_px == pytest.approx(distance_m * 96 / 76 / 0.01, rel=0.1)

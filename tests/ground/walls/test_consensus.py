@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from skymoor.geometry import Similarity
-from skymoor.ground.walls import Candidate, Guess, JudgeOptions, judge_ground, pool_guesses
+from skymoor.ground.walls import AcceptanceOptions, RefinedHypothesis, WallHypothesis, decide_ground, pool_hypotheses
 from skymoor.registration import independent_cells
 from skymoor.types import Registration
 
@@ -20,14 +20,22 @@ def moved(east_m: float) -> Similarity:
     return Similarity(1.0, np.eye(3), np.array([east_m, 0.0, 0.0]))
 
 
-def candidate(score: float, east_m: float = 0.0, cells: int = 40, aside: tuple[float, ...] = (8.0, 12.0)) -> Candidate:
+def candidate(
+    score: float, east_m: float = 0.0, cells: int = 40, aside: tuple[float, ...] = (8.0, 12.0)
+) -> RefinedHypothesis:
     found = Registration(True, "", moved(east_m), n_matches=200, n_inliers=150, tilt_deg=1.0)
-    return Candidate(Guess(moved(east_m), 0, 0, 30.0), found, moved(east_m), score, 0.5, 2, 1.6, 0.0, cells, aside)
+    return RefinedHypothesis(
+        WallHypothesis(moved(east_m), 0, 0, 30.0), found, moved(east_m), score, 0.5, 2, 1.6, 0.0, cells, aside
+    )
 
 
 def test_two_walls_that_agree_beat_a_better_one_that_stands_alone() -> None:
-    guesses = [Guess(moved(90), 0, 5, 30.0), Guess(moved(0), 0, 1, 25.0), Guess(moved(1), 1, 2, 24.0)]
-    best, other = pool_guesses(guesses, PROBES)
+    guesses = [
+        WallHypothesis(moved(90), 0, 5, 30.0),
+        WallHypothesis(moved(0), 0, 1, 25.0),
+        WallHypothesis(moved(1), 1, 2, 24.0),
+    ]
+    best, other = pool_hypotheses(guesses, PROBES)
     assert best.enu_from_level.translation[0] < 2
     assert best.support == 2
     assert best.score == pytest.approx(np.hypot(25, 24))
@@ -35,14 +43,14 @@ def test_two_walls_that_agree_beat_a_better_one_that_stands_alone() -> None:
 
 
 def test_two_guesses_of_one_wall_are_one_witness() -> None:
-    guesses = [Guess(moved(0), 0, 1, 25.0), Guess(moved(1), 0, 1, 24.0)]
-    (only,) = pool_guesses(guesses, PROBES)
+    guesses = [WallHypothesis(moved(0), 0, 1, 25.0), WallHypothesis(moved(1), 0, 1, 24.0)]
+    (only,) = pool_hypotheses(guesses, PROBES)
     assert (only.support, only.score) == (1, pytest.approx(25.0))
-    assert pool_guesses([], PROBES) == []
+    assert pool_hypotheses([], PROBES) == []
 
 
 def test_a_good_answer_is_believed_and_states_its_margin() -> None:
-    found = judge_ground([candidate(60), candidate(58, east_m=1.0), candidate(30, east_m=50)], PROBES)
+    found = decide_ground([candidate(60), candidate(58, east_m=1.0), candidate(30, east_m=50)], PROBES)
     assert found.registered
     # The answer beside the best one is the same answer.
     assert found.diagnostics["second_score"] == 30
@@ -55,16 +63,16 @@ def test_the_contrast_is_what_stands_out_from_beside() -> None:
     assert candidate(60, aside=(50.0, 70.0)).contrast == 0
     assert candidate(5).contrast == 0
     assert candidate(60, aside=()).contrast == 0
-    found = judge_ground([candidate(60), candidate(50, east_m=60)], PROBES)
+    found = decide_ground([candidate(60), candidate(50, east_m=60)], PROBES)
     assert found.diagnostics["contrast"] == pytest.approx(50 / np.sqrt(2))
     assert found.diagnostics["second_contrast"] == pytest.approx(40 / np.sqrt(2))
 
 
 def test_a_weak_answer_needs_others_to_be_compared_with() -> None:
     weak, far, farther = candidate(28), candidate(15, east_m=60), candidate(14, east_m=120)
-    assert judge_ground([weak, far, farther], PROBES).registered
-    assert not judge_ground([weak, far], PROBES).registered
-    assert judge_ground([candidate(60)], PROBES).registered
+    assert decide_ground([weak, far, farther], PROBES).registered
+    assert not decide_ground([weak, far], PROBES).registered
+    assert decide_ground([candidate(60)], PROBES).registered
 
 
 @pytest.mark.parametrize(
@@ -80,8 +88,8 @@ def test_a_weak_answer_needs_others_to_be_compared_with() -> None:
         ([replace(candidate(60), registration=Registration(False, "open", None))], "open"),
     ],
 )
-def test_doubtful_answers_are_refused_with_their_reason(candidates: list[Candidate], word: str) -> None:
-    found = judge_ground(candidates, PROBES)
+def test_doubtful_answers_are_refused_with_their_reason(candidates: list[RefinedHypothesis], word: str) -> None:
+    found = decide_ground(candidates, PROBES)
     assert not found.registered
     assert word in found.reason
 
@@ -89,7 +97,7 @@ def test_doubtful_answers_are_refused_with_their_reason(candidates: list[Candida
 def test_what_cannot_be_is_no_rival() -> None:
     in_the_air = replace(candidate(70, east_m=80), height_m=7.0)
     through_walls = replace(candidate(65, east_m=40), blocked=0.4)
-    found = judge_ground([in_the_air, through_walls, candidate(60)], PROBES)
+    found = decide_ground([in_the_air, through_walls, candidate(60)], PROBES)
     assert found.registered
     assert found.enu_from_level is not None
     assert found.enu_from_level.translation[0] == 0
@@ -100,8 +108,8 @@ def test_few_inliers_and_tilt_are_refused() -> None:
     best = candidate(60)
     few = replace(best, registration=replace(best.registration, n_inliers=10))
     tilted = replace(best, registration=replace(best.registration, tilt_deg=12.0))
-    assert "matches agree" in judge_ground([few], PROBES).reason
-    assert "12.0 degrees" in judge_ground([tilted], PROBES, JudgeOptions(max_tilt_deg=5.0)).reason
+    assert "matches agree" in decide_ground([few], PROBES).reason
+    assert "12.0 degrees" in decide_ground([tilted], PROBES, AcceptanceOptions(max_tilt_deg=5.0)).reason
 
 
 def test_neighbouring_matches_are_one_cell() -> None:

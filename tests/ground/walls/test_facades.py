@@ -14,14 +14,14 @@ from skymoor.ground.walls import (
     FacadeOptions,
     Wall,
     affine_between,
-    check_sight,
-    counterparts,
+    check_visibility,
     facade_of,
     find_walls,
-    relief_of,
-    sight_of,
+    height_raster_of,
+    pair_facades,
     similarity_between,
     surface_of,
+    view_rays_of,
 )
 from skymoor.types import DepthMap, Raster
 from support.houses import Houses, walk_round
@@ -85,30 +85,30 @@ def test_affine_and_similarity_undo_each_other() -> None:
 
 def test_cameras_stand_on_the_ground_and_do_not_look_through_walls(walk: list[DepthMap]) -> None:
     surface = surface_of(walk)
-    relief, walls = relief_of(surface), find_walls(surface, rng=np.random.default_rng(0))
-    sight = sight_of(walk, rng=np.random.default_rng(0))
-    right = check_sight(sight, Similarity.identity(), relief, walls)
+    relief, walls = height_raster_of(surface), find_walls(surface, rng=np.random.default_rng(0))
+    sight = view_rays_of(walk, rng=np.random.default_rng(0))
+    right = check_visibility(sight, Similarity.identity(), relief, walls)
     assert right.height_m == pytest.approx(1.6, abs=0.1)
     assert right.blocked < 0.02
     # A tree over all of it hides the people below, and is no wall.
     tree = replace(relief, height=np.full_like(relief.height, 7.0))
-    assert check_sight(sight, Similarity.identity(), tree, walls).blocked < 0.02
+    assert check_visibility(sight, Similarity.identity(), tree, walls).blocked < 0.02
     across = replace(SOUTH, offset=10.0, s0=-60.0, s1=60.0)
-    assert check_sight(sight, Similarity.identity(), relief, [across]).blocked > 0.3
+    assert check_visibility(sight, Similarity.identity(), relief, [across]).blocked > 0.3
     low = replace(across, z1=across.z0 + 0.5)
-    assert check_sight(sight, Similarity.identity(), relief, [low]).blocked < 0.02
+    assert check_visibility(sight, Similarity.identity(), relief, [low]).blocked < 0.02
     away = Similarity(1.0, np.eye(3), np.array([1000.0, 0.0, 0.0]))
-    assert check_sight(sight, away, relief, walls).outside == 1.0
+    assert check_visibility(sight, away, relief, walls).outside == 1.0
 
 
 def test_counterparts_lie_on_the_facade_s_own_grid(walk: list[DepthMap]) -> None:
     facade = facade_of(SOUTH, walk, 0.2)
-    relief = relief_of(surface_of(walk))
-    (pair,) = counterparts([facade], relief, walk, Similarity.identity())
-    assert pair.near.mask.shape == pair.far.mask.shape
-    both = pair.near.mask & pair.far.mask
-    near, far = pair.near.rgb[both][:, 0].astype(float), pair.far.rgb[both][:, 0].astype(float)
+    relief = height_raster_of(surface_of(walk))
+    (pair,) = pair_facades([facade], relief, walk, Similarity.identity())
+    assert pair.ground.mask.shape == pair.airborne.mask.shape
+    both = pair.ground.mask & pair.airborne.mask
+    near, far = pair.ground.rgb[both][:, 0].astype(float), pair.airborne.rgb[both][:, 0].astype(float)
     assert both.sum() > 1000
     assert np.corrcoef(near, far)[0, 1] > 0.9
     behind = Similarity(1.0, np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
-    assert not counterparts([facade], relief, walk, behind)
+    assert not pair_facades([facade], relief, walk, behind)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skymoor.geometry import Similarity
-from skymoor.ground.walls.refine import AsideOptions, PolishOptions, aside, polished
+from skymoor.ground.walls.refine import PerturbationOptions, RefineOptions, aside, polished
 
 RNG = np.random.default_rng(3)
 # A wall in the level frame, and where it truly stands.
@@ -37,7 +37,7 @@ def test_the_best_place_comes_back(east_m: float, heading_deg: float, scale: flo
         tried.append(place)
         return score(place)
 
-    found = polished(start, start.apply(POINTS).mean(axis=0), counted, PolishOptions(trials=80))
+    found = polished(start, start.apply(POINTS).mean(axis=0), counted, RefineOptions(trials=80))
     gaps = np.linalg.norm(found.apply(POINTS) - TRUE.apply(POINTS), axis=1)
     assert gaps.mean() < 0.12
     assert score(found) >= score(start)
@@ -45,7 +45,7 @@ def test_the_best_place_comes_back(east_m: float, heading_deg: float, scale: flo
 
 
 def test_places_aside_lie_all_around() -> None:
-    places = aside(TRUE, AsideOptions(count=16, min_m=2.0, max_m=4.0))
+    places = aside(TRUE, PerturbationOptions(count=16, min_m=2.0, max_m=4.0))
     moves = np.array([place.translation - TRUE.translation for place in places])
     lengths = np.linalg.norm(moves, axis=1)
     assert (lengths.min(), lengths.max()) == (pytest.approx(2.0), pytest.approx(4.0))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skymoor.geometry import Similarity
-from skymoor.ground.walls import Surface, Wall, WallOptions, find_walls, moved_wall, surface_of
+from skymoor.ground.walls import Surface, Wall, WallOptions, find_walls, surface_of, transformed_wall
 from support.houses import Houses, from_the_air
 
 
@@ -59,6 +59,6 @@ def test_a_moved_wall_holds_the_moved_points() -> None:
     wall = Wall(np.array([0.6, 0.8]), 3.0, -2.0, 4.0, 0.5, 5.0, 20.0)
     c, s = np.cos(1.1), np.sin(1.1)
     similarity = Similarity(2.0, np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.array([5.0, -1.0, 2.0]))
-    moved = moved_wall(wall, similarity)
+    moved = transformed_wall(wall, similarity)
     assert moved.corners == pytest.approx(similarity.apply(wall.corners), abs=1e-9)
     assert moved.area_m2 == pytest.approx(80.0)

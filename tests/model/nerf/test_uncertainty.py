@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Uncertainty: what photos cannot tell is uncertain, and confidence falls with every witness against."""
+"""Uncertainty: what photos cannot tell is uncertain, and confidence falls with every check against."""
 
 from __future__ import annotations
 

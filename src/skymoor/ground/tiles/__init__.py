@@ -8,6 +8,6 @@ the paper does; `cascade` comes to the same answer with a fraction of the pairs.
 from skymoor.ground.tiles.cascade import CascadeOptions, cascade
 from skymoor.ground.tiles.evidence import ConsensusOptions
 from skymoor.ground.tiles.exhaustive import exhaustive
-from skymoor.ground.tiles.images import PictureOptions, tile_px_for
+from skymoor.ground.tiles.images import TileImageOptions, tile_px_for
 
-__all__ = ["CascadeOptions", "ConsensusOptions", "PictureOptions", "cascade", "exhaustive", "tile_px_for"]
+__all__ = ["CascadeOptions", "ConsensusOptions", "TileImageOptions", "cascade", "exhaustive", "tile_px_for"]

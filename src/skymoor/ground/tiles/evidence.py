@@ -13,7 +13,7 @@ from skymoor.engines.batches import match_many
 from skymoor.errors import DegenerateGeometry, TooFewMatches
 from skymoor.geometry import Similarity, ransac_similarity
 from skymoor.ground.tiles.icp import IcpOptions, IcpResult, refine_icp
-from skymoor.ground.tiles.images import AirborneTiles, GroundPhoto, PictureOptions, lift_pair
+from skymoor.ground.tiles.images import AirborneTiles, GroundPhoto, TileImageOptions, lift_pair
 from skymoor.match import CyclicOptions, DenseMatcher, cyclic_matches
 from skymoor.registration import RegisterOptions, independent_cells, register, restated
 from skymoor.registration.criteria import ESTIMATE, criterion, with_criteria
@@ -56,7 +56,7 @@ class ConsensusOptions:
     min_cells: int = 10
     cell_m: float = 2.0
     max_tilt_deg: float = 6.0
-    pictures: PictureOptions = field(default_factory=PictureOptions)
+    pictures: TileImageOptions = field(default_factory=TileImageOptions)
     cyclic: CyclicOptions = field(default_factory=lambda: CyclicOptions(max_matches=1_000_000))
     register: RegisterOptions = field(
         default_factory=lambda: RegisterOptions(inlier_m=0.5, correlation_m=3.0, tilt_sigma_deg=1.0)
@@ -159,7 +159,7 @@ class Evidence:
     def conclude(
         self, pairs: Sequence[PairEvidence], hypotheses: Sequence[Similarity], *, with_icp: bool = True
     ) -> Registration:
-        """The hypothesis that explains most matches of all pairs, refitted to them, fitted to the surface, and decided."""
+        """The hypothesis that explains most matches, refitted to them and to the surface, accepted or refused."""
         o, pool = self.options, Pool.of(pairs)
         found_any = criterion("tile_hypotheses", len(hypotheses), 1)
         if not hypotheses:
@@ -257,7 +257,9 @@ def _criteria(found: Registration, o: ConsensusOptions) -> list[Criterion]:
 
 
 def _unplaced(pool: Pool, diagnostics: dict[str, float]) -> Registration:
-    return Registration(False, "", None, n_matches=len(pool.matches), diagnostics=diagnostics)
+    return Registration(
+        registered=False, reason="", enu_from_level=None, n_matches=len(pool.matches), diagnostics=diagnostics
+    )
 
 
 def _told(icp: IcpResult | None) -> dict[str, float]:

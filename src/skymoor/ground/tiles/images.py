@@ -17,7 +17,7 @@ from skymoor.types import Array, Array32, DepthMap, Mask, Matches2D, Matches3D, 
 
 
 @dataclass(frozen=True)
-class PictureOptions:
+class TileImageOptions:
     """What pictures are made of the inputs, and which of their pixels have a point worth having.
 
     Attributes:
@@ -111,9 +111,9 @@ def tile_px_for(
     return int(np.clip(round(side_px), least, most))
 
 
-def ground_photo(depth_map: DepthMap, options: PictureOptions | None = None) -> GroundPhoto:
+def ground_photo(depth_map: DepthMap, options: TileImageOptions | None = None) -> GroundPhoto:
     """What is matched of a levelled photo, and where its pixels lie."""
-    options = options or PictureOptions()
+    options = options or TileImageOptions()
     depth, camera = depth_map.depth, depth_map.camera
     with np.errstate(invalid="ignore"):
         good = (depth_map.sigma <= options.max_sigma_ratio * depth) & (depth > 0)
@@ -126,7 +126,7 @@ def ground_photo(depth_map: DepthMap, options: PictureOptions | None = None) -> 
 
 
 def airborne_tiles(
-    renders: Sequence[Render], options: PictureOptions | None = None, *, enu_from_render: Similarity | None = None
+    renders: Sequence[Render], options: TileImageOptions | None = None, *, enu_from_render: Similarity | None = None
 ) -> AirborneTiles:
     """Cut renders into tiles.
 
@@ -137,7 +137,7 @@ def airborne_tiles(
 
     Raises `DegenerateGeometry` where no render shows anything.
     """
-    options = options or PictureOptions()
+    options = options or TileImageOptions()
     enu_from_render = enu_from_render or Similarity.identity()
     cut: list[Tile] = []
     points = []

@@ -1,62 +1,94 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ground components on the airborne model by their walls."""
 
-from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions, airborne_walls, moved_map, walls_of_components
-from skymoor.ground.walls.answers import WallAnswers
-from skymoor.ground.walls.camera_check import CameraOptions, CameraWitness, check_ground_poses, hear_cameras
-from skymoor.ground.walls.consensus import Candidate, Guess, JudgeOptions, PoolOptions, judge_ground, pool_guesses
-from skymoor.ground.walls.facade_pairs import Counterpart, CounterpartOptions, counterparts
+from skymoor.ground.walls.airborne import (
+    AirborneWalls,
+    GroundOptions,
+    airborne_walls,
+    transformed_depth_map,
+    walls_of_components,
+)
+from skymoor.ground.walls.consensus import (
+    AcceptanceOptions,
+    PoolOptions,
+    RefinedHypothesis,
+    WallHypothesis,
+    decide_ground,
+    pool_hypotheses,
+)
+from skymoor.ground.walls.facade_pairs import FacadePair, FacadePairOptions, pair_facades
+from skymoor.ground.walls.facade_search import (
+    Drift,
+    FacadeHypothesis,
+    FacadeSearchOptions,
+    agreement,
+    drift,
+    search_facades,
+)
 from skymoor.ground.walls.facades import Facade, FacadeOptions, affine_between, facade_of, similarity_between
-from skymoor.ground.walls.figure import walls_picture
+from skymoor.ground.walls.figure import walls_figure
+from skymoor.ground.walls.hypotheses import WallHypotheses
+from skymoor.ground.walls.pose_checks import (
+    GroundPoseCheck,
+    GroundPoseOptions,
+    check_ground_poses,
+    check_poses_on_walls,
+)
 from skymoor.ground.walls.search import search_ground
-from skymoor.ground.walls.shifts import Drift, FacadeSearchOptions, Shift, agreement, drift, search_shifts
 from skymoor.ground.walls.surface import Surface, surface_of
-from skymoor.ground.walls.visibility import Relief, Sight, SightCheck, check_sight, relief_of, sight_of
-from skymoor.ground.walls.walls import Wall, WallOptions, find_walls, moved_wall
+from skymoor.ground.walls.visibility import (
+    HeightRaster,
+    ViewRays,
+    VisibilityCheck,
+    check_visibility,
+    height_raster_of,
+    view_rays_of,
+)
+from skymoor.ground.walls.walls import Wall, WallOptions, find_walls, transformed_wall
 
 __all__ = [
+    "AcceptanceOptions",
     "AirborneWalls",
-    "CameraOptions",
-    "CameraWitness",
-    "Candidate",
-    "Counterpart",
-    "CounterpartOptions",
     "Drift",
     "Facade",
+    "FacadeHypothesis",
     "FacadeOptions",
+    "FacadePair",
+    "FacadePairOptions",
     "FacadeSearchOptions",
     "GroundOptions",
-    "Guess",
-    "JudgeOptions",
+    "GroundPoseCheck",
+    "GroundPoseOptions",
+    "HeightRaster",
     "PoolOptions",
-    "Relief",
-    "Shift",
-    "Sight",
-    "SightCheck",
+    "RefinedHypothesis",
     "Surface",
+    "ViewRays",
+    "VisibilityCheck",
     "Wall",
-    "WallAnswers",
+    "WallHypotheses",
+    "WallHypothesis",
     "WallOptions",
     "affine_between",
     "agreement",
     "airborne_walls",
     "check_ground_poses",
-    "check_sight",
-    "counterparts",
+    "check_poses_on_walls",
+    "check_visibility",
+    "decide_ground",
     "drift",
     "facade_of",
     "find_walls",
-    "hear_cameras",
-    "judge_ground",
-    "moved_map",
-    "moved_wall",
-    "pool_guesses",
-    "relief_of",
+    "height_raster_of",
+    "pair_facades",
+    "pool_hypotheses",
+    "search_facades",
     "search_ground",
-    "search_shifts",
-    "sight_of",
     "similarity_between",
     "surface_of",
+    "transformed_depth_map",
+    "transformed_wall",
+    "view_rays_of",
+    "walls_figure",
     "walls_of_components",
-    "walls_picture",
 ]

@@ -17,13 +17,13 @@ import numpy as np
 from skymoor.engines.options import FIXED
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry import Similarity
-from skymoor.ground.walls.consensus import JudgeOptions, PoolOptions
-from skymoor.ground.walls.facade_pairs import CounterpartOptions
+from skymoor.ground.walls.consensus import AcceptanceOptions, PoolOptions
+from skymoor.ground.walls.facade_pairs import FacadePairOptions
+from skymoor.ground.walls.facade_search import FacadeSearchOptions
 from skymoor.ground.walls.facades import Facade, FacadeOptions, facade_of
-from skymoor.ground.walls.refine import AsideOptions, PolishOptions
-from skymoor.ground.walls.shifts import FacadeSearchOptions
+from skymoor.ground.walls.refine import PerturbationOptions, RefineOptions
 from skymoor.ground.walls.surface import surface_of
-from skymoor.ground.walls.visibility import Relief, relief_of
+from skymoor.ground.walls.visibility import HeightRaster, height_raster_of
 from skymoor.ground.walls.walls import WallOptions, find_walls
 from skymoor.match import CyclicOptions, DenseMatcher, StructuralMatcher
 from skymoor.registration import RegisterOptions
@@ -46,7 +46,7 @@ class GroundOptions:
         rounds: of that refinement, each from where the last one ended.
         polish, aside: each of them is then moved as a whole, and compared with places around.
         min_kept: of that agreement, while matches have the last word about where it is.
-        walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register, counterparts, judge: of the
+        walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register, facade_pairs, acceptance: of the
             steps.
     """
 
@@ -61,8 +61,8 @@ class GroundOptions:
     finalists: int = 4
     rounds: int = field(default=2, metadata=FIXED)
     min_kept: float = field(default=0.7, metadata=FIXED)
-    polish: PolishOptions = field(default_factory=PolishOptions, metadata=FIXED)
-    aside: AsideOptions = field(default_factory=AsideOptions, metadata=FIXED)
+    refine: RefineOptions = field(default_factory=RefineOptions, metadata=FIXED)
+    perturbation: PerturbationOptions = field(default_factory=PerturbationOptions, metadata=FIXED)
     walls: WallOptions = field(default_factory=WallOptions, metadata=FIXED)
     airborne_facades: FacadeOptions = field(default_factory=FacadeOptions, metadata=FIXED)
     ground_facades: FacadeOptions = field(
@@ -75,8 +75,8 @@ class GroundOptions:
     register: RegisterOptions = field(
         default_factory=lambda: RegisterOptions(inlier_m=0.5, correlation_m=3.0, tilt_sigma_deg=1.0), metadata=FIXED
     )
-    counterparts: CounterpartOptions = field(default_factory=CounterpartOptions, metadata=FIXED)
-    judge: JudgeOptions = field(default_factory=JudgeOptions)
+    facade_pairs: FacadePairOptions = field(default_factory=FacadePairOptions, metadata=FIXED)
+    acceptance: AcceptanceOptions = field(default_factory=AcceptanceOptions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class AirborneWalls:
     """What ground components are laid on: walls with pictures, and heights seen from above, in ENU metres."""
 
     facades: tuple[Facade, ...]
-    relief: Relief
+    relief: HeightRaster
 
 
 def airborne_walls(
@@ -105,7 +105,7 @@ def airborne_walls(
     for done, wall in enumerate(walls):
         facades.append(facade_of(wall, maps_enu, options.pixel_m, options.airborne_facades))
         progress(done + 1, len(walls))
-    return AirborneWalls(tuple(facades), relief_of(surface))
+    return AirborneWalls(tuple(facades), height_raster_of(surface))
 
 
 def walls_of_components(
@@ -116,19 +116,21 @@ def walls_of_components(
     progress: Progress = no_progress,
 ) -> AirborneWalls | None:
     """`airborne_walls` of several components, of each its depth maps and ENU from their frame; None without surface."""
-    maps_enu = [moved_map(depth_map, enu_from_level) for maps, enu_from_level in components for depth_map in maps]
+    maps_enu = [
+        transformed_depth_map(depth_map, enu_from_level) for maps, enu_from_level in components for depth_map in maps
+    ]
     try:
         return airborne_walls(maps_enu, options, rng=np.random.default_rng(seed), progress=progress)
     except DegenerateGeometry:
         return None
 
 
-def moved_map(depth_map: DepthMap, target_from_source: Similarity) -> DepthMap:
+def transformed_depth_map(depth_map: DepthMap, target_from_source: Similarity) -> DepthMap:
     """A depth map in another frame; depths and their uncertainty take the unit of that frame."""
     scale = np.float32(target_from_source.scale)
     return replace(
         depth_map,
-        camera=depth_map.camera.moved(target_from_source),
+        camera=depth_map.camera.transformed(target_from_source),
         depth=depth_map.depth * scale,
         sigma=depth_map.sigma * scale,
     )

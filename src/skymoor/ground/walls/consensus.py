@@ -15,7 +15,7 @@ from skymoor.types import Array, Criterion, Registration
 
 
 @dataclass(frozen=True, eq=False)
-class Guess:
+class WallHypothesis:
     """A place of the whole model that one of its walls suggests, by lying on one wall of the other model.
 
     `score` is how well the two walls' pictures agree, in standard deviations above chance; of a pooled guess, how well
@@ -46,11 +46,13 @@ class PoolOptions:
     keep: int = 20
 
 
-def pool_guesses(guesses: Sequence[Guess], probes: Array, options: PoolOptions | None = None) -> list[Guess]:
+def pool_hypotheses(
+    guesses: Sequence[WallHypothesis], probes: Array, options: PoolOptions | None = None
+) -> list[WallHypothesis]:
     """The answers that most walls agree on, best first and distinct from each other.
 
     The pooled score is the root of the sum of squares, over the walls, of the best agreeing guess of each: the walls
-    are independent witnesses.
+    are independent pose_checks.
 
     Args:
         guesses: of all walls.
@@ -63,12 +65,12 @@ def pool_guesses(guesses: Sequence[Guess], probes: Array, options: PoolOptions |
         return []
     placed = np.array([guess.enu_from_level.apply(probes) for guess in ranked])
     walls, scores = np.array([guess.wall for guess in ranked]), np.array([guess.score for guess in ranked])
-    pooled: list[Guess] = []
+    pooled: list[WallHypothesis] = []
     for k in np.flatnonzero(scores > options.lead_ratio * scores[0]):
         near = np.linalg.norm(placed - placed[k], axis=2).mean(axis=1) < options.near_m
         best = [float(scores[near & (walls == wall)].max()) for wall in np.unique(walls[near])]
         pooled.append(replace(ranked[k], score=float(np.linalg.norm(best)), support=len(best)))
-    kept: list[Guess] = []
+    kept: list[WallHypothesis] = []
     for guess in sorted(pooled, key=lambda guess: -guess.score):
         if all(_apart(guess.enu_from_level, q.enu_from_level, probes) >= 2 * options.near_m for q in kept):
             kept.append(guess)
@@ -76,16 +78,16 @@ def pool_guesses(guesses: Sequence[Guess], probes: Array, options: PoolOptions |
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class RefinedHypothesis:
     """An answer after refinement, with what the photos say of it.
 
     `score` and `ncc` are the agreement of all photos with `walls_seen` walls of the airborne model; `height_m` is how
     high the cameras stand above what is seen from above (median), `blocked` the share of viewing rays that cross walls;
-    `cells` counts the independent cubes that hold inliers, see `independent_cells`; `scores_aside` are the scores of
-    places a few metres away.
+    `cells` counts the independent cubes that hold inliers, see `independent_cells`; `perturbed_scores` are those of
+    positions a few metres away.
     """
 
-    answer: Guess
+    answer: WallHypothesis
     registration: Registration
     enu_from_level: Similarity
     score: float
@@ -94,7 +96,7 @@ class Candidate:
     height_m: float
     blocked: float
     cells: int
-    scores_aside: tuple[float, ...] = ()
+    perturbed_scores: tuple[float, ...] = ()
 
     @property
     def contrast(self) -> float:
@@ -103,10 +105,10 @@ class Candidate:
         Walls are alike in their floors and edges, so that two models agree a little wherever walls lie on walls, the
         more the larger they are. What only the right place explains goes when the model is moved aside.
         """
-        if len(self.scores_aside) < 2:
+        if len(self.perturbed_scores) < 2:
             return 0.0
-        gain = self.score - float(np.mean(self.scores_aside))
-        spread = max(float(np.std(self.scores_aside)), 1e-6)
+        gain = self.score - float(np.mean(self.perturbed_scores))
+        spread = max(float(np.std(self.perturbed_scores)), 1e-6)
         return max(gain, 0.0) / sqrt(spread)
 
 
@@ -115,14 +117,14 @@ class AcceptanceOptions:
     """When the best hypothesis is accepted.
 
     Attributes:
-        min_contrast: see `Candidate`; docs/benchmarks.md has what right and wrong hypotheses reach.
+        min_contrast: see `RefinedHypothesis`; docs/benchmarks.md has what right and wrong hypotheses reach.
         min_margin: by which the best contrast must exceed that of the best hypothesis elsewhere.
         min_rivals, lone_contrast: with fewer hypotheses elsewhere to compare with, the contrast itself must be so high.
         apart_m: hypotheses are elsewhere if they put the model's probes at least this far, on average.
         min_inlier_ratio: of the dense matches (the paper's).
         min_cells, cell_m: cubes in space that hold inliers: neighbouring matches repeat each other.
         max_tilt_deg: by which the registration may tilt the levelled model.
-        min_height_m, max_height_m: of the cameras; see `Candidate`.
+        min_height_m, max_height_m: of the cameras; see `RefinedHypothesis`.
         max_blocked: share of viewing rays that may cross walls.
     """
 
@@ -141,13 +143,13 @@ class AcceptanceOptions:
 
 
 def decide_ground(
-    candidates: Sequence[Candidate], probes: Array, options: AcceptanceOptions | None = None
+    candidates: Sequence[RefinedHypothesis], probes: Array, options: AcceptanceOptions | None = None
 ) -> Registration:
     """The registration of the best candidate with all criteria that it was asked, accepted or refused.
 
     Args:
         candidates: refined hypotheses, the best one first, some of them of the same position.
-        probes: points (n, 3) of the model; see `pool_guesses`.
+        probes: points (n, 3) of the model; see `pool_hypotheses`.
         options: thresholds.
     """
     options = options or AcceptanceOptions()
@@ -180,7 +182,7 @@ def decide_ground(
     return with_criteria(replace(found, diagnostics=diagnostics), criteria)
 
 
-def _criteria(best: Candidate, second: float, needed: float, options: AcceptanceOptions) -> list[Criterion]:
+def _criteria(best: RefinedHypothesis, second: float, needed: float, options: AcceptanceOptions) -> list[Criterion]:
     found, of_matches = best.registration, []
     if found.registered:
         of_matches = [
@@ -199,7 +201,7 @@ def _criteria(best: Candidate, second: float, needed: float, options: Acceptance
     ]
 
 
-def _possible(candidate: Candidate, options: AcceptanceOptions) -> bool:
+def _possible(candidate: RefinedHypothesis, options: AcceptanceOptions) -> bool:
     """Whether the cameras stand on the ground and look at what nothing hides."""
     stands = options.min_height_m <= candidate.height_m <= options.max_height_m
     return stands and candidate.blocked <= options.max_blocked

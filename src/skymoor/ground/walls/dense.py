@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from skymoor.geometry import Similarity
-from skymoor.ground.walls.facade_pairs import Counterpart
+from skymoor.ground.walls.facade_pairs import FacadePair
 from skymoor.ground.walls.facades import Facade, affine_between
-from skymoor.match import CyclicOptions, DenseMatcher, cyclic_matches, match_placed
+from skymoor.match import CyclicOptions, DenseMatcher, cyclic_matches, match_hypothesis
 from skymoor.types import Array, Matches3D
 
 FEWEST_PX = 300
@@ -34,13 +34,13 @@ def wall_matches(
     """
     found = []
     for facade, other, b_from_a in _couples(facades, others, placed, max_angle_deg, max_gap_m):
-        matches, _ = match_placed(facade.raster, other.raster, b_from_a, matcher, cyclic, rng=rng)
+        matches, _ = match_hypothesis(facade.raster, other.raster, b_from_a, matcher, cyclic, rng=rng)
         found.append(Matches3D(facade.xyz(matches.px_a), other.xyz(matches.px_b), matches))
     return Matches3D.joined(found)
 
 
 def photo_matches(
-    pairs: Sequence[Counterpart],
+    pairs: Sequence[FacadePair],
     placed: Similarity,
     matcher: DenseMatcher,
     cyclic: CyclicOptions,
@@ -55,7 +55,7 @@ def photo_matches(
     level_from_enu = placed.inverse()
     found = []
     for pair in pairs:
-        matches = cyclic_matches(matcher(pair.near, pair.far), cyclic, rng=rng)
+        matches = cyclic_matches(matcher(pair.ground, pair.airborne), cyclic, rng=rng)
         xyz_level = level_from_enu.apply(pair.facade.xyz(matches.px_a + pair.offset_px))
         found.append(Matches3D(xyz_level, pair.facade.xyz(matches.px_b + pair.offset_px), matches))
     return Matches3D.joined(found)

@@ -14,15 +14,15 @@ import numpy as np
 
 from skymoor.geometry import Similarity
 from skymoor.ground.walls.facades import Facade, FacadeOptions, facade_of
-from skymoor.ground.walls.visibility import Relief
-from skymoor.ground.walls.walls import moved_wall
+from skymoor.ground.walls.visibility import HeightRaster
+from skymoor.ground.walls.walls import transformed_wall
 from skymoor.types import Array, DepthMap, Mask, Raster
 
 FEWEST_PX = 100
 
 
 @dataclass(frozen=True)
-class CounterpartOptions:
+class FacadePairOptions:
     """Which photos are asked about which walls.
 
     Attributes:
@@ -44,30 +44,30 @@ class CounterpartOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Counterpart:
-    """A wall's picture by the photos that should see it, `near`, and by its own model, `far`, on one grid.
+class FacadePair:
+    """The orthophoto of an airborne wall from ground photos, `ground`, and from airborne ones, `airborne`, on one grid.
 
     `offset_px` (2,) is added to a pixel of the grid for the pixel of the facade.
     """
 
     facade: Facade
-    near: Raster
-    far: Raster
+    ground: Raster
+    airborne: Raster
     offset_px: Array
 
 
-def counterparts(
+def pair_facades(
     facades: Sequence[Facade],
-    relief: Relief,
+    relief: HeightRaster,
     maps_level: Sequence[DepthMap],
     enu_from_level: Similarity,
-    options: CounterpartOptions | None = None,
-) -> list[Counterpart]:
+    options: FacadePairOptions | None = None,
+) -> list[FacadePair]:
     """How the photos (level) show each of the facades (ENU) that they should see.
 
     A photo without any depth may be asked too: it is taken to show whatever nothing is known to hide.
     """
-    options = options or CounterpartOptions()
+    options = options or FacadePairOptions()
     level_from_enu = enu_from_level.inverse()
     unit = level_from_enu.scale
     how = FacadeOptions(
@@ -83,14 +83,14 @@ def counterparts(
         seeing = np.flatnonzero(_seeing(facade, centres, relief, options)).tolist()
         if not seeing:
             continue
-        wall = moved_wall(facade.wall, level_from_enu)
+        wall = transformed_wall(facade.wall, level_from_enu)
         near = facade_of(wall, [maps_level[i] for i in seeing], facade.pixel_m * unit, how)
         if near.raster.mask.sum() >= FEWEST_PX:
             found.append(_on_grid(near, facade, options))
     return found
 
 
-def _seeing(facade: Facade, centres: Array, relief: Relief, options: CounterpartOptions) -> Mask:
+def _seeing(facade: Facade, centres: Array, relief: HeightRaster, options: FacadePairOptions) -> Mask:
     """Which cameras (n, 3) look at the wall from in front, near enough, and over nothing that is in the way."""
     wall = facade.wall
     distance = np.linalg.norm(centres - wall.centre, axis=1)
@@ -103,7 +103,7 @@ def _seeing(facade: Facade, centres: Array, relief: Relief, options: Counterpart
     return seeing
 
 
-def _on_grid(near: Facade, facade: Facade, options: CounterpartOptions) -> Counterpart:
+def _on_grid(near: Facade, facade: Facade, options: FacadePairOptions) -> FacadePair:
     """Both pictures cut to the pixels that they share; they differ by the margins only."""
     du = round((facade.wall.s0 - options.margin_m - facade.s0) / facade.pixel_m)
     dv = round((facade.z1 - facade.wall.z1 - options.margin_m) / facade.pixel_m)
@@ -112,7 +112,7 @@ def _on_grid(near: Facade, facade: Facade, options: CounterpartOptions) -> Count
     width = min(facade.raster.mask.shape[1] - u0, near.raster.mask.shape[1] - (u0 - du))
     own = (slice(v0, v0 + height), slice(u0, u0 + width))
     other = (slice(v0 - dv, v0 - dv + height), slice(u0 - du, u0 - du + width))
-    return Counterpart(
+    return FacadePair(
         facade,
         Raster(near.raster.rgb[other], near.raster.mask[other]),
         Raster(facade.raster.rgb[own], facade.raster.mask[own]),

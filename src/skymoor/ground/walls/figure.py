@@ -10,13 +10,13 @@ import numpy as np
 
 from skymoor.geometry import Similarity
 from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions
-from skymoor.ground.walls.facade_pairs import Counterpart, counterparts
+from skymoor.ground.walls.facade_pairs import FacadePair, pair_facades
 from skymoor.types import DepthMap, Image
 
 GAP_PX = 6
 
 
-def walls_picture(
+def walls_figure(
     maps_level: Sequence[DepthMap],
     airborne: AirborneWalls,
     enu_from_level: Similarity,
@@ -31,17 +31,17 @@ def walls_picture(
     """
     options = options or GroundOptions()
     maps = list(maps_level)
-    pairs = counterparts(airborne.facades, airborne.relief, maps, enu_from_level, options.counterparts)
-    largest = sorted(pairs, key=lambda pair: -int((pair.near.mask & pair.far.mask).sum()))[:count]
+    pairs = pair_facades(airborne.facades, airborne.relief, maps, enu_from_level, options.facade_pairs)
+    largest = sorted(pairs, key=lambda pair: -int((pair.ground.mask & pair.airborne.mask).sum()))[:count]
     rows = [_row(pair, width) for pair in largest]
     return np.concatenate(rows) if rows else None
 
 
-def _row(pair: Counterpart, width: int) -> Image:
-    shown = pair.near.mask | pair.far.mask
+def _row(pair: FacadePair, width: int) -> Image:
+    shown = pair.ground.mask | pair.airborne.mask
     rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
     window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    near, far = (np.where(r.mask[..., None], r.rgb, 40).astype(np.uint8)[window] for r in (pair.near, pair.far))
+    near, far = (np.where(r.mask[..., None], r.rgb, 40).astype(np.uint8)[window] for r in (pair.ground, pair.airborne))
     h, w = near.shape[:2]
     cell = max(8, h // 5)
     v, u = np.mgrid[:h, :w] // cell

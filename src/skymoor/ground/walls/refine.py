@@ -18,7 +18,7 @@ GOLDEN = 0.61803
 
 
 @dataclass(frozen=True)
-class PolishOptions:
+class RefineOptions:
     """Simplex search (Nelder and Mead 1965) over position, heading and scale, once for each of `sizes`.
 
     Attributes:
@@ -35,7 +35,7 @@ class PolishOptions:
 
 
 @dataclass(frozen=True)
-class AsideOptions:
+class PerturbationOptions:
     """How many places around an answer, and how far from it, it is compared with."""
 
     count: int = 24
@@ -43,8 +43,8 @@ class AsideOptions:
     max_m: float = 5.0
 
 
-def polished(
-    start: Similarity, pivot_enu: Array, score: Callable[[Similarity], float], options: PolishOptions | None = None
+def refine_pose(
+    start: Similarity, pivot_enu: Array, score: Callable[[Similarity], float], options: RefineOptions | None = None
 ) -> Similarity:
     """The place near `start` where `score` is highest.
 
@@ -55,7 +55,7 @@ def polished(
         score: of a place, the higher the better; need not be smooth.
         options: see there.
     """
-    options = options or PolishOptions()
+    options = options or RefineOptions()
     unit = np.array([*options.steps_m, np.radians(options.heading_deg), options.scale])
     best = start
     for size in options.sizes:
@@ -67,9 +67,9 @@ def polished(
     return best
 
 
-def aside(place: Similarity, options: AsideOptions | None = None) -> list[Similarity]:
+def perturbed(place: Similarity, options: PerturbationOptions | None = None) -> list[Similarity]:
     """The same place moved in plan, in all directions and by all lengths of the options."""
-    options = options or AsideOptions()
+    options = options or PerturbationOptions()
     turns = 2 * np.pi * GOLDEN * np.arange(options.count)
     lengths = np.linspace(options.min_m, options.max_m, options.count)
     shifts = lengths[:, None] * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(options.count)])

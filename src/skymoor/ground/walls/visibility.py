@@ -23,7 +23,7 @@ FOOT_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Relief:
+class HeightRaster:
     """Heights of what is seen from above, in cells of the plan: element (row, column) is y0 + row, x0 + column cells.
 
     Cells that nothing was seen in have the height of the nearest one, and `seen` false.
@@ -48,14 +48,14 @@ class Relief:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class ViewRays:
     """Viewing rays of a model: from cameras (n, 3) to shortly before what each one sees, (n, rays, 3)."""
 
     centres: Array
     ends: Array
 
 
-def relief_of(surface: Surface, *, cell_m: float = 1.0, min_normal_up: float = 0.8) -> Relief:
+def height_raster_of(surface: Surface, *, cell_m: float = 1.0, min_normal_up: float = 0.8) -> HeightRaster:
     """Median height of the surfaces that face up, per cell. Raises `DegenerateGeometry` where there are none."""
     flat = surface.xyz[surface.normals[:, 2] > min_normal_up].astype(np.float64)
     if not len(flat):
@@ -71,10 +71,10 @@ def relief_of(surface: Surface, *, cell_m: float = 1.0, min_normal_up: float = 0
     height = height.reshape(h, w)
     known = np.isfinite(height)
     rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return Relief(height[rows, columns], known, float(x0), float(y0), cell_m)
+    return HeightRaster(height[rows, columns], known, float(x0), float(y0), cell_m)
 
 
-def sight_of(maps: Sequence[DepthMap], *, rays: int = 40, rng: np.random.Generator) -> Sight:
+def view_rays_of(maps: Sequence[DepthMap], *, rays: int = 40, rng: np.random.Generator) -> ViewRays:
     """Some viewing rays of each photo, up to shortly before what it sees."""
     centres, ends = [], []
     for depth_map in maps:
@@ -87,11 +87,11 @@ def sight_of(maps: Sequence[DepthMap], *, rays: int = 40, rng: np.random.Generat
         directions = depth_map.camera.intrinsics.rays(px) @ depth_map.camera.cam_from_world.rotation
         ends.append(depth_map.camera.centre + REACH * z[:, None] * directions)
         centres.append(depth_map.camera.centre)
-    return Sight(np.array(centres).reshape(-1, 3), np.array(ends).reshape(-1, rays, 3))
+    return ViewRays(np.array(centres).reshape(-1, 3), np.array(ends).reshape(-1, rays, 3))
 
 
 @dataclass(frozen=True)
-class SightCheck:
+class VisibilityCheck:
     """How high the cameras stand (median, m), the share of the rays that cross walls, and of cameras off the map."""
 
     height_m: float
@@ -99,9 +99,9 @@ class SightCheck:
     outside: float
 
 
-def check_sight(
-    sight: Sight, enu_from_level: Similarity, relief: Relief, walls: Sequence[Wall], *, margin_m: float = 0.5
-) -> SightCheck:
+def check_visibility(
+    sight: ViewRays, enu_from_level: Similarity, relief: HeightRaster, walls: Sequence[Wall], *, margin_m: float = 0.5
+) -> VisibilityCheck:
     """Where a hypothesis puts the cameras, seen from above. Cameras off the map count in `outside` only.
 
     Trees hide from above what people see below them, so it is walls that may not be crossed; what is nearer to a
@@ -121,4 +121,4 @@ def check_sight(
         s, z = point[..., :2] @ wall.right, point[..., 2]
         within = (s > wall.s0 + margin_m) & (s < wall.s1 - margin_m) & (z < wall.z1 - margin_m)
         crossed |= through & within & (z > wall.z0 - FOOT_M)
-    return SightCheck(height, float(crossed.mean()) if crossed.size else 0.0, outside)
+    return VisibilityCheck(height, float(crossed.mean()) if crossed.size else 0.0, outside)

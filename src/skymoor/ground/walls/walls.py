@@ -88,7 +88,7 @@ class Wall:
         return np.array([self.point(s, z) for s in (self.s0, self.s1) for z in (self.z0, self.z1)])
 
 
-def moved_wall(wall: Wall, target_from_source: Similarity) -> Wall:
+def transformed_wall(wall: Wall, target_from_source: Similarity) -> Wall:
     """The wall in another levelled frame; a tilt of the similarity is ignored."""
     corners = target_from_source.apply(wall.corners)
     heading = target_from_source.rotation[:2, :2] @ wall.normal

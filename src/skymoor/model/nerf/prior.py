@@ -28,7 +28,7 @@ CHUNK_CELLS = 1 << 19
 
 @dataclass(frozen=True, eq=False)
 class Votes:
-    """Answers per cell (nz, ny, nx): depth maps that look through it, that end near it, and the sum of the signed
+    """Hypotheses per cell (nz, ny, nx): depth maps that look through it, that end near it, and the sum of the signed
     distances, in cells and positive before a surface, that all of them gave, cut off at the width of the band."""
 
     free: Tensor

@@ -123,7 +123,7 @@ def _corners(unit: Tensor, height: float, shape: tuple[int, int, int]) -> tuple[
 def confidence(
     agreement: Array32, opacity: Array32, spread_px: Array32, bayes_px: Array32 | None, options: UncertaintyOptions
 ) -> Array32:
-    """One number in [0, 1] per pixel: the product of what each witness leaves of it.
+    """One number in [0, 1] per pixel: the product of what each check leaves of it.
 
     Args:
         agreement: of the depth maps with the rendered surface, and how many photos see it, in [0, 1].

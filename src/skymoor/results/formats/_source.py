@@ -13,7 +13,7 @@ import pycolmap
 from skymoor.engines.colmap import component_from_colmap
 from skymoor.errors import InputError
 from skymoor.results.formats.cameras import CameraRow
-from skymoor.results.read import RUN_FIRST, PlacedComponent, Result
+from skymoor.results.read import RUN_FIRST, ComponentSummary, Result
 from skymoor.types import Component, Progress, no_progress
 
 
@@ -31,7 +31,7 @@ class Source:
         """Cameras with a place."""
         return self.result.placed
 
-    def components(self) -> Iterator[tuple[PlacedComponent, Component]]:
+    def components(self) -> Iterator[tuple[ComponentSummary, Component]]:
         """Registered components in ENU metres, with the cameras that cameras.csv places in them."""
         for part in self.result.components:
             if part.registered:

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image as Pillow
 
 from skymoor.engines.tensors import fitted
-from skymoor.results.report.renderings import difference_picture
+from skymoor.results.report.renderings import difference_figure
 from skymoor.types import Array32, Image
 
 SIDE_PX, QUALITY = 1200, 80
@@ -38,4 +38,4 @@ def difference_uri(metres: Array32) -> str:
     """Heights that differ, cut to where any is known."""
     rows, columns = np.nonzero(np.isfinite(metres))
     part = metres[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    return data_uri(difference_picture(part), 900)
+    return data_uri(difference_figure(part), 900)

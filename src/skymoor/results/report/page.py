@@ -15,7 +15,7 @@ from jinja2 import BaseLoader, Environment
 from markupsafe import Markup
 
 from skymoor.results.mosaic import Mosaic, mosaic_of
-from skymoor.results.read import PlacedComponent, Result
+from skymoor.results.read import ComponentSummary, Result
 from skymoor.results.report import words
 from skymoor.results.report.figures import histogram
 from skymoor.results.report.images import data_uri, difference_uri, file_uri
@@ -54,7 +54,7 @@ class Picture:
 class Part:
     """A component as the page tells it."""
 
-    component: PlacedComponent
+    component: ComponentSummary
     colour: int
     verdict: str
     advice: str
@@ -87,7 +87,7 @@ def report_page(result: Result) -> str:
     return text
 
 
-def _part(result: Result, component: PlacedComponent, position: int) -> Part:
+def _part(result: Result, component: ComponentSummary, position: int) -> Part:
     told = (position % COLOURS, words.verdict(component), words.advice(component), words.facts(component))
     if position >= PICTURES_FOR:
         return Part(component, *told)
@@ -100,7 +100,7 @@ def _part(result: Result, component: PlacedComponent, position: int) -> Part:
     return Part(component, *told, pictures, _residuals(result, component))
 
 
-def _residuals(result: Result, component: PlacedComponent) -> list[Markup]:
+def _residuals(result: Result, component: ComponentSummary) -> list[Markup]:
     """Histograms of east, north and up at the matches that agree."""
     metres = result.residuals(component)
     return [] if metres is None else [histogram(metres[:, k], name) for k, name in enumerate(("East", "North", "Up"))]

@@ -11,7 +11,7 @@ from skymoor.types import Array, Array32, Image, Mask, Matches2D, Raster
 GOOD, BAD = (64, 224, 96), (255, 72, 48)
 
 
-def height_picture(height: Array32, *, percent: float = 0.5) -> Image:
+def height_figure(height: Array32, *, percent: float = 0.5) -> Image:
     """Heights (h, w) as colour with hill shading, black where unknown; the colours span all but the outliers."""
     known = np.isfinite(height)
     if not known.any():
@@ -25,14 +25,14 @@ def height_picture(height: Array32, *, percent: float = 0.5) -> Image:
     return np.where(known[..., None], np.clip(colour * light[..., None], 0, 255), 0).astype(np.uint8)
 
 
-def confidence_picture(confidence: Array32) -> Image:
+def confidence_figure(confidence: Array32) -> Image:
     """Confidence (h, w) in [0, 1], dark to bright."""
     return np.ascontiguousarray(
         cv2.applyColorMap((255 * np.clip(confidence, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO)[..., ::-1]
     )
 
 
-def match_picture(
+def match_figure(
     a: Image, b: Image, matches: Matches2D, inliers: Mask | None, *, count: int = 80, side_px: int = 900
 ) -> Image:
     """Render and reference side by side with lines between matches: green where the transform agrees, red where not."""
@@ -51,7 +51,7 @@ def match_picture(
     return canvas
 
 
-def overlay_picture(laid: Raster, reference: Image, *, tile_m: float = 15.0, pixel_m: float = 0.5) -> Image:
+def overlay_figure(laid: Raster, reference: Image, *, tile_m: float = 15.0, pixel_m: float = 0.5) -> Image:
     """The registered render and the reference as a checkerboard: roads and roofs must run on across the fields."""
     h, w = laid.mask.shape
     tile = max(4, round(tile_m / pixel_m))
@@ -67,7 +67,7 @@ def overlay_picture(laid: Raster, reference: Image, *, tile_m: float = 15.0, pix
     return np.asarray(cv2.resize(cropped, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC))
 
 
-def residual_picture(reference: Image, px: Array, residuals_m: Array, inliers: Mask, *, pixel_m: float) -> Image:
+def residual_figure(reference: Image, px: Array, residuals_m: Array, inliers: Mask, *, pixel_m: float) -> Image:
     """Where on the reference the transform leaves what: an arrow per place (50 times enlarged), colour for height.
 
     Blue is too low, white right, red too high by a metre. Residuals are means over neighbours.
@@ -87,7 +87,7 @@ def residual_picture(reference: Image, px: Array, residuals_m: Array, inliers: M
     return canvas
 
 
-def difference_picture(metres: Array32, *, reach_m: float = 3.0) -> Image:
+def difference_figure(metres: Array32, *, reach_m: float = 3.0) -> Image:
     """Heights (h, w) that differ: blue is too low, white right, red too high by `reach_m`; dark grey where unknown."""
     known = np.isfinite(metres)
     share = np.clip(np.where(known, metres, 0) / reach_m, -1, 1)[..., None]

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from skymoor.results.read import PlacedComponent
+from skymoor.results.read import ComponentSummary
 
 NONE, MINUS = "\N{EN DASH}", "\N{MINUS SIGN}"
 GROUND_ADVICE = (
@@ -28,7 +28,7 @@ HEIGHT_ADVICE = (
 LOST_ADVICE = "Photos must overlap by more than half: add the ones between, and leave out blurred ones."
 
 
-def verdict(component: PlacedComponent) -> str:
+def verdict(component: ComponentSummary) -> str:
     """The accuracy one can plan on, or why there is none."""
     if not component.registered:
         reason = component.reason or "no reason was given"
@@ -45,7 +45,7 @@ def verdict(component: PlacedComponent) -> str:
     return words
 
 
-def advice(component: PlacedComponent) -> str:
+def advice(component: ComponentSummary) -> str:
     """What to do about a component without a place; empty for one that has it."""
     if component.registered:
         return ""
@@ -82,7 +82,7 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 3600 else f"{seconds / 3600:.1f} h"
 
 
-def facts(component: PlacedComponent) -> list[tuple[str, str]]:
+def facts(component: ComponentSummary) -> list[tuple[str, str]]:
     """The figures behind the verdict, each with its name."""
     one: Mapping[str, Any] = component.summary
     told = [
@@ -92,5 +92,5 @@ def facts(component: PlacedComponent) -> list[tuple[str, str]]:
         ("reprojection", f"{number(one.get('reprojection_px'))} px"),
         ("tilt", f"{number(one.get('tilt_deg'))}°"),
     ]
-    chance = (one.get("diagnostics") or {}).get("chance_probability")
+    chance = (one.get("diagnostics") or {}).get("false_alarm_probability")
     return told if chance is None else [*told, ("probability of chance", f"{chance:.2g}")]

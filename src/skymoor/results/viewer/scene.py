@@ -14,7 +14,7 @@ from skymoor.errors import InputError
 from skymoor.geo import Grid
 from skymoor.results.formats import CameraRow, read_pointcloud
 from skymoor.results.mosaic import mosaic_of
-from skymoor.results.read import PlacedComponent, Result
+from skymoor.results.read import ComponentSummary, Result
 from skymoor.types import Array, Array32, Image
 
 MAX_POINTS = 400_000
@@ -96,7 +96,7 @@ def draped(name: str, grid: Grid, rgb: Image, height: Array32) -> Layer:
     return Layer(name, points, rgb[known], faces)
 
 
-def _model(result: Result, component: PlacedComponent) -> pycolmap.Reconstruction | None:
+def _model(result: Result, component: ComponentSummary) -> pycolmap.Reconstruction | None:
     try:
         return result.model(component)
     except InputError:  # the rest can still be seen
@@ -111,14 +111,16 @@ def _without_photos(result: Result, first: Frustum) -> list[str]:
     return []
 
 
-def _sparse(component: PlacedComponent, model: pycolmap.Reconstruction) -> Layer:
+def _sparse(component: ComponentSummary, model: pycolmap.Reconstruction) -> Layer:
     points = list(model.points3D.values())
     xyz = np.array([point.xyz for point in points], dtype=np.float32).reshape(-1, 3)
     colours = np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3)
     return Layer(f"tie points {component.name}", xyz, colours)
 
 
-def _frustums(result: Result, component: PlacedComponent, model: pycolmap.Reconstruction | None) -> tuple[Frustum, ...]:
+def _frustums(
+    result: Result, component: ComponentSummary, model: pycolmap.Reconstruction | None
+) -> tuple[Frustum, ...]:
     lenses = {} if model is None else {image.name: image.camera for image in model.images.values()}
     found = []
     for row in result.cameras:

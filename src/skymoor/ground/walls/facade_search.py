@@ -39,7 +39,7 @@ class FacadeSearchOptions:
 
 
 @dataclass(frozen=True)
-class Shift:
+class FacadeHypothesis:
     """Picture `a` lies on picture `b`: pixel p of a at `scale * p + place` of b; `score` as of `correlate`."""
 
     a: int
@@ -54,7 +54,7 @@ class Shift:
         return np.array([[self.scale, 0.0, self.place[0]], [0.0, self.scale, self.place[1]]])
 
 
-def search_shifts(
+def search_facades(
     pictures: Sequence[Raster],
     others: Sequence[Raster],
     *,
@@ -62,7 +62,7 @@ def search_shifts(
     max_scale: float,
     options: FacadeSearchOptions | None = None,
     progress: Progress = no_progress,
-) -> list[Shift]:
+) -> list[FacadeHypothesis]:
     """Places of each picture in each of the others, best first; scale is pixels of the other per pixel of the picture.
 
     Pictures that are too small at a scale, and others that show next to nothing, are passed over.
@@ -75,7 +75,7 @@ def search_shifts(
     }
     steps = max(round(float(np.log(max_scale / min_scale) / np.log(options.scale_step))), 0)
     scales = min_scale * options.scale_step ** np.arange(steps + 1)
-    found: list[Shift] = []
+    found: list[FacadeHypothesis] = []
     for a, picture in enumerate(pictures):
         pyramid = Pyramid(picture)
         for scale in scales:
@@ -86,20 +86,20 @@ def search_shifts(
 
 def _at_scale(
     a: int, pyramid: Pyramid, scale: float, targets: dict[int, Target], options: FacadeSearchOptions
-) -> list[Shift]:
+) -> list[FacadeHypothesis]:
     small = pyramid.at(scale)
     if min(small.mask.shape) < SHORTEST_PX or small.mask.sum() < FEWEST_PX:
         return []
     template = make_channels(small, options.sharp)
     height, width = small.mask.shape
     area = float(template.known[0].sum())
-    found: list[Shift] = []
+    found: list[FacadeHypothesis] = []
     for b, target in targets.items():
         if target.channels.known[0].sum() < options.min_overlap * area:
             continue
         scores = correlate(template, target, min_overlap=options.min_overlap)
         for v, u, score in peaks(scores, count=options.per_pair, apart=options.apart_px):
-            found.append(Shift(a, b, scale, (u - width + 1, v - height + 1), score))
+            found.append(FacadeHypothesis(a, b, scale, (u - width + 1, v - height + 1), score))
     return found
 
 

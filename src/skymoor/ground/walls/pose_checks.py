@@ -12,18 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skymoor.densify import blind_map
+from skymoor.densify import empty_depth_map
 from skymoor.geometry import Similarity
 from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions
 from skymoor.ground.walls.dense import photo_matches
-from skymoor.ground.walls.facade_pairs import counterparts
-from skymoor.ground.walls.figure import walls_picture
-from skymoor.ground.walls.shifts import drift
+from skymoor.ground.walls.facade_pairs import pair_facades
+from skymoor.ground.walls.facade_search import drift
+from skymoor.ground.walls.figure import walls_figure
 from skymoor.types import Camera, DepthMap, Image, Photos
 
 
 @dataclass(frozen=True)
-class CameraOptions:
+class GroundPoseOptions:
     """When a camera contradicts its component.
 
     Attributes:
@@ -48,7 +48,7 @@ class CameraOptions:
 
 
 @dataclass(frozen=True)
-class CameraWitness:
+class GroundPoseCheck:
     """What one photo says: how well it shows the airborne walls, and how far off it shows them (median, m).
 
     `score` is how well at its place, `best_score` at the best one within reach.
@@ -59,35 +59,35 @@ class CameraWitness:
     best_score: float
     n_matches: int
     offset_m: float
-    heard: bool
+    tested: bool
     contradicts: bool
 
 
-def hear_cameras(
+def check_poses_on_walls(
     maps_level: Sequence[DepthMap],
     airborne: AirborneWalls,
     enu_from_level: Similarity,
     options: GroundOptions | None = None,
-    limits: CameraOptions | None = None,
+    limits: GroundPoseOptions | None = None,
     *,
     rng: np.random.Generator,
-) -> list[CameraWitness]:
-    """The witness of each photo, in their order; their depths are not used, for a wrong pose makes them wrong too.
+) -> list[GroundPoseCheck]:
+    """The check of each photo, in their order; their depths are not used, for a wrong pose makes them wrong too.
 
     A camera that is wrong along its viewing direction, as a wrong focal length makes it, shows the walls where they
     are: of that nothing is heard.
     """
-    options, limits = options or GroundOptions(), limits or CameraOptions()
+    options, limits = options or GroundOptions(), limits or GroundPoseOptions()
     heard = [_hear(depth_map, airborne, enu_from_level, options, limits, rng) for depth_map in maps_level]
     usual = float(np.median([w.offset_m for w in heard if w.n_matches >= limits.min_matches] or [0.0]))
     limit = max(limits.max_offset_m, limits.max_offset_ratio * usual)
     return [replace(w, contradicts=w.contradicts or _off(w, limit, limits)) for w in heard]
 
 
-def _off(witness: CameraWitness, limit_m: float, limits: CameraOptions) -> bool:
+def _off(check: GroundPoseCheck, limit_m: float, limits: GroundPoseOptions) -> bool:
     """Whether matches say that a photo shows walls elsewhere, and the whole picture does not deny it."""
-    leads = witness.best_score > limits.min_lead * witness.score
-    return witness.heard and witness.offset_m > limit_m and leads
+    leads = check.best_score > limits.min_lead * check.score
+    return check.tested and check.offset_m > limit_m and leads
 
 
 def _hear(
@@ -95,14 +95,14 @@ def _hear(
     airborne: AirborneWalls,
     enu_from_level: Similarity,
     options: GroundOptions,
-    limits: CameraOptions,
+    limits: GroundPoseOptions,
     rng: np.random.Generator,
-) -> CameraWitness:
+) -> GroundPoseCheck:
     """What a photo says for itself; `contradicts` where it fits much better elsewhere."""
     alone = [replace(depth_map, depth=np.full_like(depth_map.depth, np.nan))]
-    pairs = counterparts(airborne.facades, airborne.relief, alone, enu_from_level, options.counterparts)
+    pairs = pair_facades(airborne.facades, airborne.relief, alone, enu_from_level, options.facade_pairs)
     reach, still = (round(metres / options.pixel_m) for metres in (limits.reach_m, limits.max_offset_m))
-    found = [drift(p.near, p.far, reach_px=reach, still_px=still, options=options.search) for p in pairs]
+    found = [drift(p.ground, p.airborne, reach_px=reach, still_px=still, options=options.search) for p in pairs]
     drifts = [d for d in found if d is not None]
     score, best = (float(np.linalg.norm(values)) for values in ([d.here for d in drifts], [d.there for d in drifts]))
     elsewhere = best >= limits.min_score and best > limits.min_gain * score
@@ -113,7 +113,7 @@ def _hear(
         surest = max(drifts, key=lambda d: d.there)
         offset = float(np.hypot(*surest.px)) * options.pixel_m
     heard = len(matches) >= limits.min_matches or elsewhere
-    return CameraWitness(depth_map.camera.image, score, best, len(matches), offset, heard, contradicts=elsewhere)
+    return GroundPoseCheck(depth_map.camera.image, score, best, len(matches), offset, heard, contradicts=elsewhere)
 
 
 def check_ground_poses(
@@ -126,16 +126,16 @@ def check_ground_poses(
     *,
     max_px: int,
     seed: int = 0,
-) -> tuple[list[CameraWitness], Image | None]:
-    """`hear_cameras` for all cameras of a component, and a figure of its walls.
+) -> tuple[list[GroundPoseCheck], Image | None]:
+    """`check_poses_on_walls` for all cameras of a component, and a figure of its walls.
 
     Args:
         cameras: of the component; those without a depth map are checked by their photos, of `max_px` along the side.
-        maps_level, photos, airborne, enu_from_level, options: see `hear_cameras`.
+        maps_level, photos, airborne, enu_from_level, options: see `check_poses_on_walls`.
         seed: of random choices.
     """
     measured = {depth_map.camera.image for depth_map in maps_level}
     others = [camera for camera in cameras if camera.image not in measured]
-    maps = [*maps_level, *(blind_map(camera, photos, max_px) for camera in others)]
-    heard = hear_cameras(maps, airborne, enu_from_level, options, rng=np.random.default_rng(seed))
-    return heard, walls_picture(maps_level, airborne, enu_from_level, options)
+    maps = [*maps_level, *(empty_depth_map(camera, photos, max_px) for camera in others)]
+    heard = check_poses_on_walls(maps, airborne, enu_from_level, options, rng=np.random.default_rng(seed))
+    return heard, walls_figure(maps_level, airborne, enu_from_level, options)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from skymoor.densify.views import blind_map
+from skymoor.densify.views import empty_depth_map
 from skymoor.types import Array, Array32, Camera, DepthMap, Image, Mask, Photos
 
 BLUR_PX, NEAR_RATIO = 1.0, 1.03  # of the pictures; depths that differ by less are one surface
@@ -44,7 +44,7 @@ class AgreementOptions:
 
 
 @dataclass(frozen=True)
-class PhotoWitness:
+class PoseCheck:
     """What the others say of a photo: correlation with what they show there, None where they show too little."""
 
     image: str
@@ -53,35 +53,35 @@ class PhotoWitness:
     contradicts: bool
 
 
-def hear_photos(maps: Sequence[DepthMap], options: AgreementOptions | None = None) -> list[PhotoWitness]:
+def check_poses(maps: Sequence[DepthMap], options: AgreementOptions | None = None) -> list[PoseCheck]:
     """Compare each photo with what the others show from its camera.
 
     Args:
-        maps: depth maps of all cameras of a component in one frame; `blind_map` for those without depth.
+        maps: depth maps of all cameras of a component in one frame; `empty_depth_map` for those without depth.
         options: see there.
 
     Returns:
-        one witness per map, in their order.
+        one check per map, in their order.
     """
     options = options or AgreementOptions()
     # Many photos show each place many times.
     sparse = options.step_px * max(1.0, np.sqrt(len(maps) / options.dense_maps))
     clouds = [depth_map.points(step=round(sparse)) for depth_map in maps]
     heard = _heard(maps, clouds, [True] * len(maps), options)
-    if not any(witness.contradicts for witness in heard):
+    if not any(check.contradicts for check in heard):
         return heard
     # Once more without what doubtful cameras lend: of two that see one place, the other may be the wrong one.
-    return _heard(maps, clouds, [not witness.contradicts for witness in heard], options)
+    return _heard(maps, clouds, [not check.contradicts for check in heard], options)
 
 
 def check_camera_poses(
     cameras: Sequence[Camera], depths: Sequence[DepthMap], photos: Photos, options: AgreementOptions | None = None
-) -> list[PhotoWitness]:
-    """`hear_photos` for all cameras of a component, also for those whose photos have no depth map."""
+) -> list[PoseCheck]:
+    """`check_poses` for all cameras of a component, also for those whose photos have no depth map."""
     options = options or AgreementOptions()
     measured = {depth_map.camera.image for depth_map in depths}
     others = [camera for camera in cameras if camera.image not in measured]
-    return hear_photos([*depths, *(blind_map(camera, photos, options.width_px) for camera in others)], options)
+    return check_poses([*depths, *(empty_depth_map(camera, photos, options.width_px) for camera in others)], options)
 
 
 def _heard(
@@ -89,7 +89,7 @@ def _heard(
     clouds: Sequence[tuple[Array32, Image]],
     trusted: Sequence[bool],
     options: AgreementOptions,
-) -> list[PhotoWitness]:
+) -> list[PoseCheck]:
     points = np.concatenate([np.zeros((0, 3), np.float32), *(xyz for xyz, _ in clouds)])
     grey = np.concatenate([np.zeros(0, np.float32), *(rgb.mean(axis=1, dtype=np.float32) for _, rgb in clouds)])
     owner = np.repeat(np.arange(len(maps)), [len(xyz) for xyz, _ in clouds])
@@ -101,7 +101,7 @@ def _heard(
     known = [ncc for ncc, _ in found if ncc is not None]
     limit = min(options.max_ncc, options.max_share * float(np.median(known))) if known else 0.0
     return [
-        PhotoWitness(depth_map.camera.image, ncc, covered, ncc is not None and ncc < limit)
+        PoseCheck(depth_map.camera.image, ncc, covered, ncc is not None and ncc < limit)
         for depth_map, (ncc, covered) in zip(maps, found, strict=True)
     ]
 

@@ -14,22 +14,22 @@ from numpy.typing import NDArray
 
 from skymoor.engines.colmap import colmap_from_component
 from skymoor.geometry import umeyama
-from skymoor.reconstruct import LensOptions
+from skymoor.reconstruct import IntrinsicsOptions
 from skymoor.reconstruct.calibration import adjust
-from skymoor.reconstruct.lenses import (
+from skymoor.reconstruct.shared_intrinsics import (
     _regrouped,
+    group_intrinsics,
     is_real,
-    share_lenses,
-    shared_lenses,
+    shared_intrinsics,
     without_doubtful,
     without_impossible,
-    write_lenses,
+    write_intrinsics,
 )
 from skymoor.types import Camera
 from support.walks import PHONE, WIDE, reconstructed, walk, wall_points, watchers
 
 Array = NDArray[np.float64]
-OPTIONS = LensOptions()
+OPTIONS = IntrinsicsOptions()
 
 
 def by_itself(cameras: Sequence[Camera], *, seed: int = 0, points: int = 700) -> pycolmap.Reconstruction:
@@ -61,7 +61,7 @@ def centre_error_m(model: pycolmap.Reconstruction, cameras: Sequence[Camera]) ->
 def test_the_photos_of_a_walk_share_a_lens_and_security_cameras_do_not() -> None:
     cameras = [*walk(), *watchers()]
     alone = by_itself(cameras, points=200)
-    together = share_lenses(alone, OPTIONS)
+    together = group_intrinsics(alone, OPTIONS)
     users = {i: together.image(i).camera_id for i in together.reg_image_ids()}
     lens_of = {together.image(i).name: camera for i, camera in users.items()}
     assert len({lens_of[camera.image] for camera in walk()}) == 1
@@ -78,7 +78,7 @@ def test_the_photos_of_a_walk_share_a_lens_and_security_cameras_do_not() -> None
 
 def test_ids_names_and_points_stay() -> None:
     alone = by_itself([*walk(), *watchers()])
-    together = share_lenses(alone, OPTIONS)
+    together = group_intrinsics(alone, OPTIONS)
     assert sorted(together.reg_image_ids()) == sorted(alone.reg_image_ids())
     assert all(together.image(i).name == alone.image(i).name for i in alone.reg_image_ids())
     assert together.num_points3D() > 0.98 * alone.num_points3D()
@@ -94,7 +94,7 @@ def test_wrong_observations_do_not_hide_a_shared_lens() -> None:
     px[wrong] += rng.normal(scale=15.0, size=(len(wrong), 2))
     model = _regrouped(colmap_from_component(replace(component, obs_px=px)), [], OPTIONS)
     adjust(model)
-    together = share_lenses(model, OPTIONS)
+    together = group_intrinsics(model, OPTIONS)
     assert len(together.cameras) == 1
     # What did not fit is gone, and little else.
     gone = model.compute_num_observations() - together.compute_num_observations()
@@ -102,13 +102,13 @@ def test_wrong_observations_do_not_hide_a_shared_lens() -> None:
 
 
 def test_too_few_photos_are_no_crowd() -> None:
-    together = share_lenses(by_itself(walk(3)), OPTIONS)
+    together = group_intrinsics(by_itself(walk(3)), OPTIONS)
     assert len(together.cameras) == 3
 
 
 def test_a_photo_whose_lens_nothing_fixes_is_given_up() -> None:
     cameras = [*walk(), *watchers()]
-    together = share_lenses(by_itself(cameras), OPTIONS)
+    together = group_intrinsics(by_itself(cameras), OPTIONS)
     assert without_doubtful(together, OPTIONS).num_reg_images() == 11
     strict = replace(OPTIONS, min_observations=10**6)  # of photos with lenses of their own
     kept = without_doubtful(together, strict)
@@ -124,10 +124,10 @@ def test_a_photo_whose_lens_nothing_fixes_is_given_up() -> None:
 
 
 def test_one_phone_in_two_reconstructions_is_one_lens() -> None:
-    models = [share_lenses(by_itself(walk(seed=seed), seed=seed), OPTIONS) for seed in (3, 4)]
+    models = [group_intrinsics(by_itself(walk(seed=seed), seed=seed), OPTIONS) for seed in (3, 4)]
     other = [replace(c, image=f"other_{c.image}", intrinsics=replace(PHONE, fx=600.0, fy=600.0)) for c in walk()]
-    models.append(share_lenses(by_itself(other), OPTIONS))
-    lens_of = shared_lenses(models, OPTIONS)
+    models.append(group_intrinsics(by_itself(other), OPTIONS))
+    lens_of = shared_intrinsics(models, OPTIONS)
     assert len(lens_of) == 18
     assert lens_of["walk_0"].params[0] == pytest.approx(PHONE.fx, rel=0.01)
     assert lens_of["other_walk_0"].params[0] == pytest.approx(600, rel=0.01)
@@ -140,7 +140,7 @@ def test_lenses_are_written_for_their_photos_and_begin_those_of_others(tmp_path:
             camera = pycolmap.Camera.create_from_model_name(0, "SIMPLE_RADIAL", 1.2 * width, width, 480)
             db.write_image(pycolmap.Image(name=name, camera_id=db.write_camera(camera)))
         lens = pycolmap.Camera(model="RADIAL", width=640, height=480, params=[500, 320, 240, -0.1, 0.02])
-        fixed = write_lenses(db, {"a": lens})
+        fixed = write_intrinsics(db, {"a": lens})
         a, b, c = (db.read_camera(db.read_image_with_name(name).camera_id) for name in "abc")  # type: ignore[union-attr]
         assert fixed == {a.camera_id}
         np.testing.assert_allclose(a.params, lens.params)

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skymoor.densify import AgreementOptions, hear_photos
+from skymoor.densify import AgreementOptions, check_poses
 from skymoor.geometry import Similarity
-from skymoor.ground.walls import moved_map
+from skymoor.ground.walls import transformed_depth_map
 from skymoor.types import DepthMap
 from support.houses import from_the_air, houses
 
@@ -28,11 +28,11 @@ def blind(depth_map: DepthMap) -> DepthMap:
 
 
 def test_photos_from_where_they_are_agree(maps: list[DepthMap]) -> None:
-    heard = hear_photos([blind(maps[0]), *maps[1:]])
-    assert [witness.image for witness in heard] == [depth_map.camera.image for depth_map in maps]
-    assert not any(witness.contradicts for witness in heard)
-    assert min(witness.ncc or 0.0 for witness in heard) > 0.8
-    assert all(0.3 < witness.covered <= 1 for witness in heard)
+    heard = check_poses([blind(maps[0]), *maps[1:]])
+    assert [check.image for check in heard] == [depth_map.camera.image for depth_map in maps]
+    assert not any(check.contradicts for check in heard)
+    assert min(check.ncc or 0.0 for check in heard) > 0.8
+    assert all(0.3 < check.covered <= 1 for check in heard)
 
 
 @pytest.mark.parametrize("wrong", [(0,), (3, 4)])
@@ -40,24 +40,24 @@ def test_photos_from_where_they_are_agree(maps: list[DepthMap]) -> None:
 def test_photos_from_elsewhere_contradict_even_if_they_agree_with_each_other(
     maps: list[DepthMap], wrong: tuple[int, ...], measured: bool
 ) -> None:
-    moved = [moved_map(m, ASIDE) if k in wrong else m for k, m in enumerate(maps)]
+    moved = [transformed_depth_map(m, ASIDE) if k in wrong else m for k, m in enumerate(maps)]
     shown = [m if measured or k not in wrong else blind(m) for k, m in enumerate(moved)]
-    heard = hear_photos(shown)
-    assert tuple(k for k, witness in enumerate(heard) if witness.contradicts) == wrong
-    assert min(witness.ncc or 0.0 for k, witness in enumerate(heard) if k not in wrong) > 0.75
+    heard = check_poses(shown)
+    assert tuple(k for k, check in enumerate(heard) if check.contradicts) == wrong
+    assert min(check.ncc or 0.0 for k, check in enumerate(heard) if k not in wrong) > 0.75
 
 
 def test_where_nothing_is_to_be_seen_nothing_is_said(maps: list[DepthMap]) -> None:
     rng = np.random.default_rng(0)
     plain = [replace(m, rgb=rng.integers(120, 126, m.rgb.shape, np.uint8)) for m in maps]
-    assert all(witness.ncc is None and not witness.contradicts for witness in hear_photos(plain))
-    alone = hear_photos(maps[:1])
+    assert all(check.ncc is None and not check.contradicts for check in check_poses(plain))
+    alone = check_poses(maps[:1])
     assert (alone[0].ncc, alone[0].covered, alone[0].contradicts) == (None, 0.0, False)
-    assert hear_photos([]) == []
-    far = moved_map(maps[0], Similarity(1.0, np.eye(3), np.array([5000.0, 0.0, 0.0])))
-    assert hear_photos([far, *maps[1:]])[0].ncc is None
+    assert check_poses([]) == []
+    far = transformed_depth_map(maps[0], Similarity(1.0, np.eye(3), np.array([5000.0, 0.0, 0.0])))
+    assert check_poses([far, *maps[1:]])[0].ncc is None
 
 
 def test_sparser_points_say_the_same(maps: list[DepthMap]) -> None:
-    full, few = (hear_photos(maps, AgreementOptions(dense_maps=count)) for count in (100, 3))
+    full, few = (check_poses(maps, AgreementOptions(dense_maps=count)) for count in (100, 3))
     np.testing.assert_allclose([w.ncc for w in full], [w.ncc for w in few], atol=0.12)

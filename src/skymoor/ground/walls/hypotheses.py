@@ -7,21 +7,21 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 from skymoor.geometry.similarity import Similarity
-from skymoor.ground.walls.consensus import Candidate, JudgeOptions, judge_ground
+from skymoor.ground.walls.consensus import AcceptanceOptions, RefinedHypothesis, decide_ground
 from skymoor.types import Array, Registration
 
 
 @dataclass(frozen=True, eq=False)
-class WallAnswers:
-    """All places that were found for a component, the best one first; see `Answers`.
+class WallHypotheses:
+    """All places that were found for a component, the best one first; see `Hypotheses`.
 
     `probes` (n, 3) are cameras and corners of walls in the level frame, and `counts` says how much was searched.
     """
 
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[RefinedHypothesis, ...]
     probes: Array
     counts: dict[str, float]
-    judge: JudgeOptions
+    acceptance: AcceptanceOptions
 
     @property
     def places(self) -> list[Similarity]:
@@ -33,8 +33,8 @@ class WallAnswers:
         """Contrast of each candidate."""
         return [candidate.contrast for candidate in self.candidates]
 
-    def judged(self, excluded: Collection[int] = ()) -> Registration:
+    def decide(self, excluded: Collection[int] = ()) -> Registration:
         """The best place, or why it is not believed, if those numbered in `excluded` are known to be wrong."""
         left = [candidate for k, candidate in enumerate(self.candidates) if k not in excluded]
-        found = judge_ground(left, self.probes, self.judge)
+        found = decide_ground(left, self.probes, self.acceptance)
         return replace(found, diagnostics={**found.diagnostics, **self.counts})

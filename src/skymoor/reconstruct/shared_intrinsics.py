@@ -27,7 +27,7 @@ COLMAP_FOCAL_WIDTHS = 0.1, 10.0  # within which COLMAP itself takes a lens for o
 
 
 @dataclass(frozen=True)
-class LensOptions:
+class IntrinsicsOptions:
     """When photos share a lens.
 
     Attributes:
@@ -59,7 +59,7 @@ class LensOptions:
     max_focal_sigma: float = 0.02
 
 
-def share_lenses(model: pycolmap.Reconstruction, options: LensOptions) -> pycolmap.Reconstruction:
+def group_intrinsics(model: pycolmap.Reconstruction, options: IntrinsicsOptions) -> pycolmap.Reconstruction:
     """A copy, adjusted, in which the photos of one lens have one camera, and all others one of their own.
 
     Ids and names of images and points stay.
@@ -92,7 +92,7 @@ def share_lenses(model: pycolmap.Reconstruction, options: LensOptions) -> pycolm
     return shared
 
 
-def is_real(camera: pycolmap.Camera, options: LensOptions) -> bool:
+def is_real(camera: pycolmap.Camera, options: IntrinsicsOptions) -> bool:
     """Whether a lens could be one; an adjustment that has lost its way leaves others behind."""
     return not camera.has_bogus_params(options.min_focal_widths, options.max_focal_widths, options.max_distortion)
 
@@ -109,7 +109,7 @@ def without_impossible(model: pycolmap.Reconstruction) -> pycolmap.Reconstructio
     return model
 
 
-def without_doubtful(model: pycolmap.Reconstruction, options: LensOptions) -> pycolmap.Reconstruction:
+def without_doubtful(model: pycolmap.Reconstruction, options: IntrinsicsOptions) -> pycolmap.Reconstruction:
     """A copy without the photos whose own lens is impossible or not known: they stand anywhere along their rays."""
     copy = pycolmap.Reconstruction(model)
     sigmas = focal_sigmas(copy)
@@ -124,7 +124,9 @@ def without_doubtful(model: pycolmap.Reconstruction, options: LensOptions) -> py
     return _regrouped(copy, [users for users in _users(copy).values() if len(users) > 1], options)
 
 
-def shared_lenses(models: Sequence[pycolmap.Reconstruction], options: LensOptions) -> dict[str, pycolmap.Camera]:
+def shared_intrinsics(
+    models: Sequence[pycolmap.Reconstruction], options: IntrinsicsOptions
+) -> dict[str, pycolmap.Camera]:
     """The lens of each photo that shares one, by the photo's name, from reconstructions with shared lenses.
 
     Reconstructions are taken in order. A lens that is like an earlier one is the same, better known there.
@@ -141,7 +143,7 @@ def shared_lenses(models: Sequence[pycolmap.Reconstruction], options: LensOption
     return lens_of
 
 
-def write_lenses(database: pycolmap.Database, lens_of: Mapping[str, pycolmap.Camera]) -> set[int]:
+def write_intrinsics(database: pycolmap.Database, lens_of: Mapping[str, pycolmap.Camera]) -> set[int]:
     """Give photos of a database these lenses; ids of their cameras. Each photo keeps a camera of its own.
 
     One without a lens begins with the most usual one: what it had before may have come from a wrong place.
@@ -163,7 +165,7 @@ def write_lenses(database: pycolmap.Database, lens_of: Mapping[str, pycolmap.Cam
     return fixed
 
 
-def _candidates(model: pycolmap.Reconstruction, ids: list[int], options: LensOptions) -> list[int]:
+def _candidates(model: pycolmap.Reconstruction, ids: list[int], options: IntrinsicsOptions) -> list[int]:
     """The photos that could have the lens that most of `ids` agree about; none where no crowd agrees."""
     cameras = [model.camera(model.image(i).camera_id) for i in ids]
     real = [k for k, camera in enumerate(cameras) if is_real(camera, options)]
@@ -186,7 +188,7 @@ def _candidates(model: pycolmap.Reconstruction, ids: list[int], options: LensOpt
 
 
 def _regrouped(
-    model: pycolmap.Reconstruction, groups: Sequence[Sequence[int]], options: LensOptions
+    model: pycolmap.Reconstruction, groups: Sequence[Sequence[int]], options: IntrinsicsOptions
 ) -> pycolmap.Reconstruction:
     """A copy in which the images of each group share a camera, the median of theirs."""
     copy = pycolmap.Reconstruction()
@@ -237,7 +239,7 @@ def _radial(camera: pycolmap.Camera) -> tuple[float, float]:
     return distortion[0], distortion[1]
 
 
-def _alike(a: pycolmap.Camera, b: pycolmap.Camera, options: LensOptions) -> bool:
+def _alike(a: pycolmap.Camera, b: pycolmap.Camera, options: IntrinsicsOptions) -> bool:
     ratio = abs(float(np.log(a.mean_focal_length() / b.mean_focal_length())))
     same_size = (a.width, a.height) == (b.width, b.height)
     return same_size and ratio < options.alike_focal_ratio / 2 and abs(_radial(a)[0] - _radial(b)[0]) < options.alike_k

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from skymoor.registration import chance_probability, height_agreement
+from skymoor.registration import false_alarm_probability, height_agreement
 
 
 def test_chance_is_as_likely_as_said(rng: np.random.Generator) -> None:
@@ -17,17 +17,17 @@ def test_chance_is_as_likely_as_said(rng: np.random.Generator) -> None:
     said = []
     for _ in range(4000):
         *decoys, other = 25 * np.exp(0.12 * rng.normal(size=5))
-        said.append(chance_probability(other, decoys))
+        said.append(false_alarm_probability(other, decoys))
     assert 0.035 < np.mean(np.array(said) < 0.05) < 0.065
     assert 0.002 < np.mean(np.array(said) < 0.01) < 0.016
 
 
 def test_it_falls_with_the_score_and_rises_with_the_spread() -> None:
-    told = [chance_probability(score, [20.0, 22.0, 24.0, 21.0]) for score in (15, 22, 30, 40, 90)]
+    told = [false_alarm_probability(score, [20.0, 22.0, 24.0, 21.0]) for score in (15, 22, 30, 40, 90)]
     assert all(a > b for a, b in pairwise(told))
     assert told[0] > 0.9 and told[2] > 0.005 and 0 < told[-1] < 1e-4
-    assert chance_probability(40, [20, 40, 10, 30]) > chance_probability(40, [24, 26, 25, 25])
-    assert chance_probability(40, []) == 1.0 == chance_probability(0, [20.0])
+    assert false_alarm_probability(40, [20, 40, 10, 30]) > false_alarm_probability(40, [24, 26, 25, 25])
+    assert false_alarm_probability(40, []) == 1.0 == false_alarm_probability(0, [20.0])
 
 
 def relief(rng: np.random.Generator) -> np.ndarray:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skymoor.ground.walls import FacadeSearchOptions, agreement, drift, search_shifts
+from skymoor.ground.walls import FacadeSearchOptions, agreement, drift, search_facades
 from skymoor.types import Raster
 
 
@@ -35,7 +35,7 @@ def part(whole: Raster, scale: float, u0: int, v0: int, size: tuple[int, int]) -
 def test_scale_and_place_come_back(scale: float) -> None:
     whole = windows(1)
     near = part(whole, scale, 30, 8, (70, 48))
-    best = search_shifts([near], [windows(2), whole], min_scale=0.4, max_scale=0.75)[0]
+    best = search_facades([near], [windows(2), whole], min_scale=0.4, max_scale=0.75)[0]
     assert best.b == 1
     assert best.scale == pytest.approx(scale, rel=0.03)
     assert best.place == pytest.approx((30, 8), abs=1.5)
@@ -45,8 +45,8 @@ def test_scale_and_place_come_back(scale: float) -> None:
 def test_another_picture_scores_lower() -> None:
     whole = windows(1)
     near = part(whole, 0.5, 30, 8, (70, 48))
-    right = search_shifts([near], [whole], min_scale=0.4, max_scale=0.75)[0].score
-    wrong = search_shifts([near], [windows(2)], min_scale=0.4, max_scale=0.75)[0].score
+    right = search_facades([near], [whole], min_scale=0.4, max_scale=0.75)[0].score
+    wrong = search_facades([near], [windows(2)], min_scale=0.4, max_scale=0.75)[0].score
     assert 0 < wrong < 0.7 * right
 
 
@@ -54,8 +54,8 @@ def test_small_and_empty_pictures_are_passed_over() -> None:
     whole = windows(1)
     dark = Raster(whole.rgb, np.zeros_like(whole.mask))
     tiny = part(whole, 1.0, 0, 0, (10, 10))
-    assert not search_shifts([part(whole, 0.5, 30, 8, (70, 48))], [dark], min_scale=0.4, max_scale=0.6)
-    assert not search_shifts([tiny], [whole], min_scale=0.9, max_scale=1.1)
+    assert not search_facades([part(whole, 0.5, 30, 8, (70, 48))], [dark], min_scale=0.4, max_scale=0.6)
+    assert not search_facades([tiny], [whole], min_scale=0.9, max_scale=1.1)
 
 
 def test_agreement_is_one_with_itself_and_falls_with_a_shift() -> None:
