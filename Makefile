@@ -2,35 +2,42 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.stamp
+SETUP := $(VENV)/.setup
+DEV := $(VENV)/.dev
 SOURCES := src tests benchmarks docs
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check docs wheel format clean
+.PHONY: help setup dev demo test check docs wheel format clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-setup: $(STAMP) ## make .venv with the skymoor command in it
+setup: $(SETUP) ## make .venv with the skymoor command: what users need
 
-$(STAMP): requirements.lock pyproject.toml
+dev: $(DEV) ## the same with all extras, the tools of the checks and what the tests need
+
+$(SETUP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo "skymoor needs Python 3.11 or newer, and $(PYTHON) is older or missing: make setup PYTHON=python3.12" >&2; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { \
 	  echo "python could not make $(VENV): install its venv module (Debian: apt-get install python3-venv)" >&2; exit 1; }
+	$(BIN)/python -m pip install --quiet --constraint requirements.lock setuptools
+	$(BIN)/python -m pip install --quiet --constraint requirements.lock --no-build-isolation -e .
+	@touch $@
+
+$(DEV): $(SETUP)
 	$(BIN)/python -m pip install --quiet -r requirements.lock
 	@# It declares training tools and a torchvision that exists for CUDA only; what it imports is in the lock.
 	$(BIN)/python -m pip install --quiet --no-deps romatch==0.1.2
-	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
-demo: $(STAMP) ## simulate a small site, place it on the Earth, compare with the truth
+demo: $(SETUP) ## simulate a small site, place it on the Earth, compare with the truth
 	$(BIN)/skymoor demo --out skymoor-demo
 
-test: $(STAMP) ## run the tests
+test: $(DEV) ## run the tests
 	$(BIN)/python -m pytest -n 2
 
-check: $(STAMP) ## what CI runs: format, lint, types, import contracts, documentation, tests
+check: $(DEV) ## what CI runs: format, lint, types, import contracts, documentation, tests
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/mypy
@@ -38,20 +45,20 @@ check: $(STAMP) ## what CI runs: format, lint, types, import contracts, document
 	$(MAKE) --no-print-directory docs
 	$(BIN)/python -m pytest -n 2
 
-wheel: $(STAMP) ## build the wheel, install it where nothing else is, and run the demo from there
+wheel: $(SETUP) ## build the wheel, install it where nothing else is, and run the demo from there
 	rm -rf build dist
 	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
 	$(PYTHON) -m venv build/empty
-	@# The lock bounds what the wheel asks for: the newest PyTorch would bring gigabytes of CUDA along.
+	@# With the versions of the checks, as make setup.
 	build/empty/bin/python -m pip install --quiet --constraint requirements.lock dist/skymoor-*.whl
 	cd build && empty/bin/python -c 'import skymoor; assert "empty" in skymoor.__file__, skymoor.__file__'
 	build/empty/bin/skymoor doctor
 	build/empty/bin/skymoor demo --out build/demo --quiet
 
-docs: $(STAMP) ## build the documentation into site/; needs no network
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+docs: $(DEV) ## build the documentation into site/; needs no network
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-format: $(STAMP) ## rewrite the sources in the house format
+format: $(DEV) ## rewrite the sources in the house format
 	$(BIN)/ruff format $(SOURCES)
 	$(BIN)/ruff check --fix $(SOURCES)
 

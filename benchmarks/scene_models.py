@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from skymoor.model import oblique_views
 from skymoor.model.nerf.uncertainty import reliability
-from skymoor.simulate import SiteOptions
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label
+from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.plan import dates_of
 from skymoor.simulate.site import Site, true_enu_from_sfm
 from skymoor.simulate.world import World

@@ -32,8 +32,8 @@ from skymoor.geometry import Similarity, umeyama
 from skymoor.ground.tiles import cascade, exhaustive
 from skymoor.ground.tiles.images import AirborneTiles, Tile, airborne_tiles, shown_shares
 from skymoor.model import RenderOptions, nadir_view, oblique_views, tiles
-from skymoor.simulate import SiteOptions
 from skymoor.simulate.light.scene import Scene
+from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.plan import dates_of, place_of
 from skymoor.simulate.site import Site
 from skymoor.simulate.world import World

@@ -3,94 +3,182 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import geopandas
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import skymoor
-from skymoor import api
-from skymoor.cli import commands
-from skymoor.cli.arguments import Run
+from skymoor.api import site_of
+from skymoor.geometry import Similarity
+from skymoor.match import SearchOptions
 from skymoor.pipeline.option_parser import parse_option
+from skymoor.simulate.site import Site
+from skymoor.types import Raster
+from support.blocks import ground_points, observed, ring
 from support.finished import finished_run
+from support.pictures import noise_picture
+from support.small_run import FASTER, SEED, rows_of
+from support.tiny_site import make_site
 
-LEARNED = {"torch", "pycolmap", "plotly", "cv2", "numpy"}
+HEAVY = {"torch", "pycolmap", "open3d", "rasterio", "laspy", "plotly", "jinja2", "pandas", "PIL"}
 
 
-@pytest.fixture
-def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Run]:
-    """What `register` asked `skymoor run` for, which has left a run of which nothing is registered."""
-    runs: list[Run] = []
-
-    def run(command: Run) -> bool:
-        finished_run(command.out.parent, registered=False)
-        runs.append(command)
-        return False
-
-    monkeypatch.setattr(commands, "run", run)
-    return runs
+def loaded_by(code: str) -> set[str]:
+    """Modules, and parts of SciPy, in a new interpreter after some code."""
+    ask = f"import sys\n{code}\nprint(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    names = set(done.stdout.splitlines()[-1].split())
+    assert "skymoor" in names
+    return {name for name in names if "." not in name or name.startswith("scipy.")}
 
 
 def test_importing_costs_nothing() -> None:
-    ask = "import sys, skymoor; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
-    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
-    loaded = set(done.stdout.split())
-    assert "skymoor" in loaded and loaded.isdisjoint(LEARNED)
+    assert loaded_by("import skymoor").isdisjoint(HEAVY | {"numpy", "cv2", "scipy"})
+
+
+def test_a_result_is_read_without_what_made_it(tmp_path: Path) -> None:
+    run = finished_run(tmp_path)
+    loaded = loaded_by(f"import skymoor; result = skymoor.read({str(run)!r}); repr(result); len(result.cameras)")
+    assert loaded.isdisjoint(HEAVY | {"scipy.stats", "scipy.optimize", "scipy.spatial"})
+
+
+@pytest.mark.parametrize("module", ["skymoor.cli.main", "skymoor.evaluate"])
+def test_help_and_evaluation_load_little(module: str) -> None:
+    assert loaded_by(f"import {module}").isdisjoint(HEAVY | {"scipy.stats", "scipy.optimize", "scipy.spatial"})
 
 
 @pytest.mark.parametrize("first", ["", "import skymoor.pipeline.airborne;", "from skymoor.registration import decide;"])
-def test_the_name_of_the_stage_stays_with_the_function(first: str) -> None:
-    ask = f"{first}import skymoor; print(callable(skymoor.register), skymoor.registration.__module__)"
+def test_public_names_do_not_depend_on_what_was_imported_before(first: str) -> None:
+    ask = f"{first}import skymoor; print(skymoor.register.__module__, skymoor.lift.__module__)"
     done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["True", "skymoor.api"]
+    assert done.stdout.split() == ["skymoor.api", "skymoor.registration.lift"]
 
 
-def test_what_there_is() -> None:
-    assert {"register", "read", "Result", "InputError"} <= set(dir(skymoor))
-    assert skymoor.read is api.read and skymoor.register is api.register
+def test_what_is_public_is_listed_and_documented() -> None:
+    assert {"register", "read", "match_rasters", "lift", "render_nadir", "Result", "InputError"} <= set(dir(skymoor))
+    assert dir(skymoor) == sorted(dir(skymoor)) == sorted(skymoor.__all__)
+    assert all(getattr(skymoor, name).__doc__ for name in dir(skymoor) if name != "__version__")
     with pytest.raises(AttributeError, match="no attribute 'rigister'"):
         skymoor.rigister  # noqa: B018
 
 
-def test_a_site_is_placed_and_read_back(tmp_path: Path, asked: list[Run]) -> None:
+@pytest.mark.e2e
+def test_register_is_the_program(
+    finished: Path, small_site: Site, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """It continues a run of the command line with the same data and options, and prints nothing."""
+    out = shutil.copytree(finished, tmp_path / "out")
+    options = {**dict(map(parse_option, FASTER[1::2])), "match": {"decoys": {"count": np.int64(2)}}}
+    seen: list[tuple[str, int, int, str]] = []
     result = skymoor.register(
-        tmp_path / "site.toml", out=tmp_path / "run", options={"match": {"max_height_m": 150}}, seed=4
+        small_site.folder / "airborne.toml",
+        out=str(out),
+        options=options,
+        seed=SEED,
+        progress=lambda *step: seen.append(step),
     )
-    assert not result.registered  # is no error: the result says so
-    assert result.components[0].reason == "another place is nearly as good"
-    (command,) = asked
-    assert command == Run(
-        site=tmp_path / "site.toml", out=tmp_path / "run", set=("match.max_height_m=150",), seed=4, quiet=True
-    )
+    assert result.registered and result.components[0].summary["n_cameras"] == 16
+    assert all(stage["cached"] for stage in result.summary["stages"])
+    assert rows_of(out / "cameras.csv") == rows_of(finished / "cameras.csv")
+    assert seen and all(0 <= done <= total for _, done, total, _ in seen)
+    assert capfd.readouterr() == ("", "")
 
 
-def test_the_data_by_name(tmp_path: Path, asked: list[Run]) -> None:
-    skymoor.register(
-        **{"airborne": "air", "ground": "walk", "ortho": "o.tif", "dsm": "d.tif", "out": str(tmp_path / "run")},
+def test_a_site_by_its_data(tmp_path: Path) -> None:
+    folder = make_site(tmp_path)
+    site = site_of(
+        **{"airborne": str(folder / "airborne"), "ortho": folder / "ortho.tif", "dsm": folder / "dsm.tif"},
         **{"vertical_datum": "ellipsoid", "ce90": 2.1, "le90": 3.8},
     )
-    (command,) = asked
-    assert (command.site, command.airborne, command.ground) == (None, Path("air"), (Path("walk"),))
-    assert (command.ortho, command.dsm, command.ce90, command.le90) == (Path("o.tif"), Path("d.tif"), 2.1, 3.8)
+    assert site.airborne == folder / "airborne" and site.ground == () and site.reference.dsm == folder / "dsm.tif"
+    assert site_of(site) is site
+    with pytest.raises(skymoor.InputError, match="already names the data: leave out --dsm"):
+        site_of(folder / "site.toml", dsm=folder / "dsm.tif")
 
 
-@pytest.mark.parametrize(
-    "value",
-    [150, 1.5, 1e-7, True, "mesh", "1.5", 'a "b" \\ ä\n', [1, 2.5], ["a", "b"], np.float64(0.25), np.int32(7)],
-)
-def test_options_keep_their_types(value: object) -> None:
-    (setting,) = api._settings({"group": {"name": value}})
-    name, parsed = parse_option(setting)
-    assert name == "group.name" and parsed == value and isinstance(value, type(parsed) | np.generic)
-
-
-def test_wrong_input_is_told(tmp_path: Path) -> None:
+def test_wrong_input_is_an_error_of_one_line(tmp_path: Path) -> None:
     with pytest.raises(skymoor.InputError, match=r"none\.toml: there is no such file"):
         skymoor.register(tmp_path / "none.toml", out=tmp_path / "out")
-    with pytest.raises(skymoor.InputError, match=r"match\.seed = \{1\} is no number"):
-        skymoor.register(tmp_path / "none.toml", out=tmp_path / "out", options={"match.seed": {1}})
+    site = make_site(tmp_path) / "site.toml"
+    with pytest.raises(skymoor.InputError, match=r"match\.candidates"):
+        skymoor.register(site, out=tmp_path / "out", options={"match.candidates": {1}})
+    with pytest.raises(skymoor.InputError, match=r"match\.sed.*match\.search"):
+        skymoor.register(site, out=tmp_path / "out", options={"match.sed": 1})
     with pytest.raises(skymoor.InputError, match="no summary of a finished run"):
         skymoor.read(tmp_path)
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_rasters_are_matched() -> None:
+    """A known scale, rotation and offset come back, and so do pixels; an unrelated raster is not significant."""
+    picture = cv2.GaussianBlur(noise_picture((180, 190)), (0, 0), 1.5)
+    scale, azimuth = 0.8, np.radians(40.0)
+    turn = scale * np.array([[np.cos(azimuth), -np.sin(azimuth)], [np.sin(azimuth), np.cos(azimuth)]])
+    offset = np.array([95.0, 30.0])
+    shape = (100, 100)
+    # OpenCV counts from the centre of the first pixel.
+    matrix = np.column_stack([turn, offset + turn @ [0.5, 0.5] - 0.5])
+    part = cv2.warpAffine(picture, matrix, shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    a, b = (Raster(image, np.ones(image.shape[:2], bool)) for image in (part, picture))
+    options = SearchOptions(template_px=64, reference_px=160, keep=4)
+    found = skymoor.match_rasters(a, b, min_scale=0.75, max_scale=0.85, options=options)
+    assert found.scale == pytest.approx(scale, rel=0.01)
+    assert found.azimuth_deg == pytest.approx(40.0, abs=0.7)
+    corners = np.array([[0.0, 0.0], [100, 0], [0, 100], [100, 100]])
+    truth = corners @ turn.T + offset
+    assert np.abs(corners @ found.b_from_a[:, :2].T + found.b_from_a[:, 2] - truth).max() < 2
+    gaps = np.linalg.norm(found.matches.px_a @ turn.T + offset - found.matches.px_b, axis=1)
+    assert len(gaps) > 500 and np.median(gaps) < 0.5
+    assert found.false_alarm_probability < 1e-3
+    assert max(found.null_scores) < 0.7 * found.score
+
+
+def test_two_rasters_of_different_sizes_do_not_match() -> None:
+    small, large = (Raster(noise_picture((n, n)), np.ones((n, n), bool)) for n in (40, 300))
+    with pytest.raises(skymoor.SkymoorError, match="too small"):
+        skymoor.match_rasters(large, small, min_scale=0.9, max_scale=1.0)
+
+
+def test_a_component_is_levelled() -> None:
+    component = observed(ring(), ground_points(600, relief_m=0.3), noise_px=0.2)
+    tilted = Similarity(1.0, Rotation.from_euler("xyz", [140, 30, 10], degrees=True).as_matrix(), np.zeros(3))
+    level = skymoor.level_component(component.transformed(tilted))
+    normal = np.linalg.svd(level.points - level.points.mean(axis=0))[2][2]
+    assert abs(normal[2]) > np.cos(np.radians(0.7))
+    assert level.centres[:, 2].mean() > level.points[:, 2].mean()
+
+
+def test_a_result_in_a_few_lines(tmp_path: Path) -> None:
+    text = repr(skymoor.read(finished_run(tmp_path)))
+    lines = text.splitlines()
+    assert len(lines) == 4
+    assert lines[1].strip() == "airborne_0: REGISTERED, 9 cameras, CE90 2.10 m, LE90 3.80 m"
+    assert lines[2].strip() == "ground0_0: NOT_REGISTERED, no wall fits"
+
+
+def test_cameras_as_tables(tmp_path: Path) -> None:
+    result = skymoor.read(finished_run(tmp_path))
+    table = result.to_dataframe()
+    assert len(table) == len(result.cameras) == 10
+    assert list(table["image"]) == [row.image for row in result.cameras]
+    assert table["ce90"].notna().sum() == 9
+    points = result.to_geodataframe()
+    assert isinstance(points, geopandas.GeoDataFrame) and points.crs.to_epsg() == 4979
+    first = result.cameras[0]
+    assert (points.geometry.iloc[0].x, points.geometry.iloc[0].y) == (first.lon, first.lat)
+    assert points.geometry.iloc[0].z == first.height
+    assert points.geometry.iloc[-1] is None
+
+
+def test_tables_name_the_library_that_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = skymoor.read(finished_run(tmp_path))
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(skymoor.BackendUnavailable, match=r'pip install "skymoor\[table\]"'):
+        result.to_dataframe()

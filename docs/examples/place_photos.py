@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 import skymoor
-from skymoor.simulate import SiteOptions
+from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.site import write_site
 from skymoor.simulate.world import World
 

@@ -7,7 +7,7 @@ class SkymoorError(Exception):
 
 
 class InputError(SkymoorError):
-    """The user's data or options are wrong: the message names the file and the mend (exit status 2)."""
+    """The user's data or options are wrong: the message names the file and the remedy (exit status 2)."""
 
 
 class TooFewMatches(SkymoorError):

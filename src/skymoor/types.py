@@ -292,8 +292,8 @@ class Reference:
 class Criterion:
     """A value that was compared with a limit to decide about a registration.
 
-    `kind` is a key of `registration.criteria.KINDS`, which says what it means, on which side of the limit it passes,
-    and what helps where it fails.
+    `kind` is a key of `registration.criterion_kinds.KINDS`, which says what it means, on which side of the limit it
+    passes, and what helps where it fails.
     """
 
     kind: str

@@ -12,7 +12,7 @@ import pytest
 
 from skymoor.cli import commands
 from skymoor.cli.main import main
-from skymoor.simulate import SiteOptions
+from skymoor.simulate.options import SiteOptions
 from support.small_run import SEARCH
 
 SMALL = SiteOptions(

@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skymoor.densify import MetricDepthOptions
 from skymoor.geometry import Similarity
-from skymoor.ground.tiles import CascadeOptions, ConsensusOptions
-from skymoor.match import MatcherOptions
+from skymoor.ground.tiles import ConsensusOptions
 from skymoor.pipeline import ground as pipeline_ground
-from skymoor.pipeline.airborne import ComponentResult, Job
+from skymoor.pipeline.engines import Engines
 from skymoor.pipeline.ground import register_ground_sets
-from skymoor.pipeline.options import GroundSetOptions, Options
+from skymoor.pipeline.job import ComponentResult, Job
+from skymoor.pipeline.options import GroundChoices, Options
 from skymoor.store import Store
 from skymoor.types import Component, DepthMap, Registration, Render, View, no_progress
 from support.tile_world import PICTURES, TileOracle, TileWorld, floated
@@ -33,6 +32,9 @@ class WorldModel:
 
     world: TileWorld
     pixel: float = 0.33
+
+    def cache_key(self) -> str:
+        return "boxes"
 
     @cached_property
     def surface_points(self) -> np.ndarray:
@@ -57,21 +59,21 @@ def stubbed(monkeypatch: pytest.MonkeyPatch) -> tuple[list[DepthMap], Similarity
     world = TileWorld()
     maps, enu_from_level = floated(world.walk(), tilt_deg=0.0)
 
-    def stage(name: str, *args: Any) -> list[DepthMap]:
-        job: Job = args[2]
-        return job.store.stage(f"{name}.depths", lambda: maps)
-
     monkeypatch.setattr(pipeline_ground, "reconstruct_set", lambda *_: [component_of(maps), component_of(maps[:2])])
     monkeypatch.setattr(pipeline_ground, "estimate_ground_gravity", lambda *_, ground: None)
     monkeypatch.setattr(pipeline_ground, "level_from_gravity", lambda *_: Similarity.identity())
-    monkeypatch.setattr(pipeline_ground, "densify_component", stage)
+    monkeypatch.setattr(pipeline_ground, "densify_component", lambda *_: maps)
+    monkeypatch.setattr(pipeline_ground, "CASCADE", CONSENSUS)
+    monkeypatch.setattr(pipeline_ground, "EXHAUSTIVE", CONSENSUS)
     return maps, enu_from_level, world
 
 
-def airborne_of(world: TileWorld, store: Store) -> ComponentResult:
-    store.stage("air.depths", lambda: [])
-    for stage in ("model", "nadir", "register"):
-        store.stage(f"air.{stage}", lambda: None)
+def ground_job(store: Store, options: Options | None = None) -> Job:
+    nothing: Any = None
+    return Job(nothing, nothing, options or Options(), store, 0, lambda _: no_progress, "ground0")
+
+
+def airborne_of(world: TileWorld) -> ComponentResult:
     here = Registration(True, "", Similarity.identity())
     model = WorldModel(world)
     base = ComponentResult("air", component_of(world.walk()), Similarity.identity(), here, depths=[])
@@ -84,16 +86,10 @@ def test_tiles_place_both_components(
 ) -> None:
     maps, enu_from_level, world = stubbed
     oracle: Any = TileOracle(world.airborne, world.walk())
-    ground = GroundSetOptions(
-        method=method,
-        matcher=MatcherOptions(structural=oracle),
-        cascade=CascadeOptions(consensus=CONSENSUS),
-        exhaustive=CONSENSUS,
-    )
+    options = Options(engines=Engines(structural=oracle), ground=GroundChoices(method=method))
+    base = airborne_of(world)
     with Store.open(tmp_path) as store:
-        base = airborne_of(world, store)
-        job = Job(None, None, Options(ground=ground), store, 0, lambda _: no_progress, "ground0", "air.model")  # type: ignore[arg-type]
-        ((first, second),) = register_ground_sets([job], [base])
+        ((first, second),) = register_ground_sets([ground_job(store, options)], [base])
     for item in (first, second):
         assert item.registration.registered, item.registration.reason
         assert item.registration.enu_from_level is not None
@@ -114,8 +110,7 @@ def test_without_an_airborne_component_all_are_refused(
     tmp_path: Path, stubbed: tuple[list[DepthMap], Similarity, TileWorld]
 ) -> None:
     with Store.open(tmp_path) as store:
-        job = Job(None, None, Options(), store, 0, lambda _: no_progress, "ground0", "photos")  # type: ignore[arg-type]
-        (found,) = register_ground_sets([job], [])
+        (found,) = register_ground_sets([ground_job(store)], [])
     assert [item.registration.registered for item in found] == [False, False]
     assert "no airborne component is registered" in found[0].registration.reason
     assert register_ground_sets([], []) == []
@@ -128,30 +123,21 @@ def test_an_error_in_one_component_refuses_that_one(
     stubbed: tuple[list[DepthMap], Similarity, TileWorld],
 ) -> None:
     maps, _, world = stubbed
-
-    def breaks(found: Sequence[DepthMap], *_: Any, **__: Any) -> Registration:
-        if len(found) == len(maps):
-            raise np.linalg.LinAlgError("Singular matrix")
-        return Registration(True, "", Similarity.identity(), diagnostics={"score": 30.0})
-
-    monkeypatch.setattr(pipeline_ground, "exhaustive", breaks)
-    ground = GroundSetOptions(method="exhaustive")
+    monkeypatch.setattr(pipeline_ground, "exhaustive", fails_on_many)
+    monkeypatch.setattr(pipeline_ground, "densify_component", lambda _, level, *__: maps[: len(level.cameras)])
+    options = Options(ground=GroundChoices(method="exhaustive"))
     with Store.open(tmp_path) as store:
-        job = Job(None, None, Options(ground=ground), store, 0, lambda _: no_progress, "ground0", "air.model")  # type: ignore[arg-type]
-        world_base = airborne_of(world, store)
-        monkeypatch.setattr(
-            pipeline_ground, "densify_component", lambda name, level, *_: stored(name, level, maps, job)
-        )
-        ((broken, whole),) = register_ground_sets([job], [world_base])
+        ((broken, whole),) = register_ground_sets([ground_job(store, options)], [airborne_of(world)])
     assert not broken.registration.registered
     assert broken.registration.reason == "internal error (LinAlgError: Singular matrix); run.log has the traceback"
     assert whole.registration.registered
     assert "Traceback" in caplog.text and "ground0-0: failed unexpectedly" in caplog.text
 
 
-def stored(name: str, level: Component, maps: Sequence[DepthMap], job: Job) -> list[DepthMap]:
-    own = list(maps[: len(level.cameras)])
-    return job.store.stage(f"{name}.depths", lambda: own)
+def fails_on_many(maps: Sequence[DepthMap], *_: Any, **__: Any) -> Registration:
+    if len(maps) > 2:
+        raise np.linalg.LinAlgError("Singular matrix")
+    return Registration(True, "", Similarity.identity(), diagnostics={"score": 30.0})
 
 
 @dataclass(frozen=True)
@@ -167,6 +153,14 @@ class Metres:
         return np.asarray(self.factor * self.metres_per_unit * depths[image.tobytes()], np.float32)
 
 
+SEARCHED: list[ConsensusOptions] = []
+
+
+def noted(maps: Any, renders: Any, matcher: Any, options: ConsensusOptions, **_: Any) -> Registration:
+    SEARCHED.append(options)
+    return Registration(False, "not searched", None)
+
+
 @pytest.mark.parametrize(("factor", "narrowed"), [(1.1, True), (1e4, False)])
 def test_metres_of_single_photos_narrow_the_search(
     factor: float,
@@ -177,27 +171,22 @@ def test_metres_of_single_photos_narrow_the_search(
 ) -> None:
     """A tenth too large is within what such networks may err; what contradicts all that was to be searched is left."""
     _, enu_from_level, world = stubbed
-    searched: list[ConsensusOptions] = []
-
-    def spy(maps: Any, renders: Any, matcher: Any, options: ConsensusOptions, **_: Any) -> Registration:
-        searched.append(options)
-        return Registration(False, "not searched", None)
-
-    monkeypatch.setattr(pipeline_ground, "exhaustive", spy)
-    metric: Any = MetricDepthOptions(kind="network", network=Metres(factor, enu_from_level.scale))  # type: ignore[arg-type]
-    consensus = ConsensusOptions(min_scale=0.01, max_scale=100.0)
-    ground = GroundSetOptions(method="exhaustive", metric=metric, exhaustive=consensus)
+    SEARCHED.clear()
+    monkeypatch.setattr(pipeline_ground, "exhaustive", noted)
+    monkeypatch.setattr(pipeline_ground, "EXHAUSTIVE", ConsensusOptions(min_scale=0.01, max_scale=100.0))
+    network: Any = Metres(factor, enu_from_level.scale)
+    ground = GroundChoices(method="exhaustive", metric="metric_depth")
+    options = Options(engines=Engines(metric_depth=network), ground=ground)
     with Store.open(tmp_path) as store:
-        job = Job(None, None, Options(ground=ground), store, 0, lambda _: no_progress, "ground0", "air.model")  # type: ignore[arg-type]
-        ((first, second),) = register_ground_sets([job], [airborne_of(world, store)])
+        ((first, second),) = register_ground_sets([ground_job(store, options)], [airborne_of(world)])
     assert first.metric is not None
     assert first.metric.metres_per_unit == pytest.approx(factor * enu_from_level.scale, rel=0.02)
     assert second.metric is not None
-    low, high = searched[0].min_scale, searched[0].max_scale
+    low, high = SEARCHED[0].min_scale, SEARCHED[0].max_scale
     if narrowed:
         assert 0.5 * enu_from_level.scale < low < enu_from_level.scale < high < 2.0 * enu_from_level.scale
         width_m = np.median([np.nanmedian(m.depth) for m in first.depths]) * 96 / 76 * factor * enu_from_level.scale
-        assert searched[0].pictures.tile_px == pytest.approx(max(150, width_m / 0.33), rel=0.1)
+        assert SEARCHED[0].pictures.tile_px == pytest.approx(max(150, width_m / 0.33), rel=0.1)
     else:
         assert (low, high) == (0.01, 100.0)
-        assert searched[0].pictures.tile_px == 900
+        assert SEARCHED[0].pictures.tile_px == 900

@@ -11,10 +11,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from skymoor.densify import RelativeDepthOptions
 from skymoor.errors import BackendUnavailable
 from skymoor.pipeline import airborne as pipeline
-from skymoor.pipeline.airborne import Job
+from skymoor.pipeline.engines import Engines
+from skymoor.pipeline.job import Job
 from skymoor.pipeline.option_parser import with_options
 from skymoor.pipeline.options import ModelOptions, Options, check_engines
 from skymoor.store import Store
@@ -40,6 +40,7 @@ class Order:
 class Builder:
     """Keeps what it was given."""
 
+    device: str = "auto"
     given: ClassVar[dict[str, Any]] = {}
 
     def __call__(self, component: Any, depths: Sequence[DepthMap], **given: Any) -> list[str]:
@@ -49,14 +50,15 @@ class Builder:
 
 def test_depths_of_single_photos_reach_the_field(tmp_path: Path) -> None:
     maps, order, builder = TileWorld().walk(3), Order(), Builder()
-    chosen: Any = {"kind": "marigold", "marigold": order}
-    model: Any = {"kind": "nerf", "monocular": RelativeDepthOptions(**chosen), "nerf": builder}
+    engines: Any = {"marigold": order}
+    model: Any = {"kind": "nerf", "ranking": "marigold", "nerf": builder}
+    options = Options(engines=Engines(**engines), model=ModelOptions(**model))
+    nothing: Any = None
     for run in range(2):
         with Store.open(tmp_path) as store:
-            store.stage("a.depths", lambda: None)
-            store.stage("a.pose_checks", lambda: None)
-            job = Job(None, None, Options(model=ModelOptions(**model)), store, 0, lambda _: no_progress)  # type: ignore[arg-type]
-            assert pipeline._model("a", None, maps, job) == ["a model"]  # type: ignore[arg-type,comparison-overlap]
+            job = Job(nothing, nothing, options, store, 0, lambda _: no_progress)
+            built: Any = pipeline._model("a", nothing, maps, job)
+            assert built == ["a model"]
         assert len(order.asked) == 3, run  # the second time both stages are kept
     assert [m.shape for m in builder.given["monocular"]] == [m.depth.shape for m in maps]
     np.testing.assert_array_equal(builder.given["monocular"][1], maps[1].rgb[..., 0])
@@ -65,7 +67,6 @@ def test_depths_of_single_photos_reach_the_field(tmp_path: Path) -> None:
 def test_nothing_is_asked_for_a_mesh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("SKYMOOR_WEIGHTS", str(tmp_path))
     mesh = with_options(Options(), {"model.ranking": "depth_anything"})
-    assert mesh.model.ranking is None
     check_engines(mesh)
     with pytest.raises(BackendUnavailable):
         check_engines(with_options(mesh, {"model.kind": "nerf"}))

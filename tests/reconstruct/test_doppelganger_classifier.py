@@ -11,10 +11,10 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-import skymoor.reconstruct._doppelgangers
 from skymoor.errors import InputError
 from skymoor.reconstruct import DoppelgangerClassifier, ViewGraph
-from skymoor.reconstruct._doppelgangers import Classifier, _reduced, pair_layers
+from skymoor.reconstruct._doppelgangers import _reduced, pair_layers
+from skymoor.reconstruct._doppelgangers_network import Classifier, load_classifier
 from skymoor.types import Photos
 from support.pictures import noise_picture
 
@@ -27,7 +27,7 @@ FIRST = np.roll(PICTURE, -SHIFT[::-1], axis=(0, 1))
 @pytest.fixture(autouse=True)
 def forget_networks() -> Iterator[None]:
     yield
-    skymoor.reconstruct._doppelgangers._network.cache_clear()
+    load_classifier.cache_clear()
 
 
 def matches_of(rng: np.random.Generator, count: int = 60, *, wrong: int = 0) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,8 @@ from skymoor.geo import EnuFrame, Grid
 from skymoor.geometry import Similarity, point_covariance
 from skymoor.registration import RegisterOptions, camera_accuracy, decide, register, restated
 from skymoor.registration.covariance import SHAPE_FACTOR, matched_covariance
+from skymoor.registration.criteria import remedy_of
+from skymoor.registration.criterion_kinds import KINDS
 from skymoor.types import Calibration, Camera, Matches2D, Matches3D, Reference, Registration
 from support.blocks import LENS, look_at
 from support.comparators import assert_similarity_near
@@ -178,44 +180,47 @@ def test_a_transform_from_elsewhere_states_its_own_residuals() -> None:
     assert moved.rmse_m > found.rmse_m
 
 
-class TestJudge:
+class TestDecide:
     GOOD = registered(planted(seed=6))
 
     @pytest.mark.parametrize(
         ("change", "scores", "word"),
         [
-            ({}, [35.0, 10.0], "scores 35"),
-            ({}, [35.0], "scores 35"),
-            ({}, [100.0, 90.0], "another place"),
-            ({}, [60.0, 100.0], "another place"),
+            ({}, [35.0, 10.0], "match score 35 is below"),
+            ({}, [35.0], "match score 35 is below"),
+            ({}, [100.0, 90.0], "a competing hypothesis scores 90, the best 100; at least 117"),
+            ({}, [60.0, 100.0], "a competing hypothesis scores 100"),
             ({"n_inliers": 49, "n_matches": 100}, SCORES, "49 matches"),
-            ({"n_inliers": 150}, SCORES, "19%"),
-            ({"diagnostics": {"cells": 9.0}}, SCORES, "9 places"),
-            ({"tilt_deg": 10.5}, SCORES, "10.5 degrees"),
+            ({"n_inliers": 150}, SCORES, "inlier ratio 18.8 % is below the minimum of 20 %"),
+            ({"diagnostics": {"cells": 9.0}}, SCORES, "9 independent cells"),
+            ({"tilt_deg": 10.5}, SCORES, "10.5°"),
         ],
     )
     def test_each_reason(self, change: dict[str, object], scores: list[float], word: str) -> None:
-        judged = decide(replace(self.GOOD, **change), scores, 1000)  # type: ignore[arg-type]
-        assert not judged.registered and word in judged.reason
+        decided = decide(replace(self.GOOD, **change), scores, 1000)  # type: ignore[arg-type]
+        assert not decided.registered and word in decided.reason
+        (failed,) = [one for one in decided.criteria if not one.passed]
+        assert remedy_of({"criteria": [asdict(one) for one in decided.criteria]}) == KINDS[failed.kind].remedy
 
     def test_good_is_good_and_one_place_needs_no_second(self) -> None:
         assert decide(self.GOOD, SCORES, 1000).registered
         assert decide(self.GOOD, [100.0], 1000).registered
 
-    def test_pictures_that_lie_nowhere_are_compared_with(self) -> None:
-        """Thrice what they score is no chance; a third more is."""
+    def test_the_score_must_be_significantly_above_decoys(self) -> None:
+        """Three times their score is significant; a third more is not."""
         good = decide(self.GOOD, SCORES, 1000, decoys=[30.0, 33.0, 28.0, 31.0])
         assert good.registered and 0 < good.diagnostics["false_alarm_probability"] < 1e-3
         assert good.diagnostics["decoy_score"] == 33
         poor = decide(self.GOOD, [60.0, 30.0], 1000, decoys=[45.0, 50.0, 42.0, 46.0])
-        assert not poor.registered and "reach 50 here" in poor.reason and "chance (" in poor.reason
+        assert not poor.registered and "decoys reach 50" in poor.reason
+        assert "false-alarm probability 2.37 %" in poor.reason
 
     def test_heights_may_deny(self) -> None:
         for heights, registered_ in ((None, True), (0.5, True), (0.1, False), (-0.9, False)):
-            judged = decide(self.GOOD, SCORES, 1000, heights=heights)
-            assert judged.registered == registered_
-            assert judged.diagnostics.get("height_agreement") == heights
-        assert "(correlation -0.90)" in judged.reason
+            decided = decide(self.GOOD, SCORES, 1000, heights=heights)
+            assert decided.registered == registered_
+            assert decided.diagnostics.get("height_agreement") == heights
+        assert "(correlation -0.9; at least 0.2 is required)" in decided.reason
 
     def test_thresholds_are_options(self) -> None:
         assert not decide(self.GOOD, SCORES, 1000, RegisterOptions(min_score=101.0)).registered

@@ -26,9 +26,10 @@ from pyproj import Transformer
 from skymoor.cli.main import main
 from skymoor.errors import InputError
 from skymoor.results.export import chosen_formats, export
-from skymoor.results.formats import CameraRow, cameras_kml, odm_geo, photo_with_position, position_xmp
+from skymoor.results.formats import cameras_kml, odm_geo, photo_with_position, position_xmp
 from skymoor.results.formats._registry import FORMATS
 from skymoor.results.read import Result
+from skymoor.results.tables import CameraRow
 from skymoor.types import Array
 from support.exported_run import FRAME, LENS, cameras, points, write_run
 

@@ -14,8 +14,9 @@ import pytest
 from skymoor.errors import InputError
 from skymoor.geo import EnuFrame
 from skymoor.geometry import Similarity
-from skymoor.results.formats import CAMERA_COLUMNS, CameraRow, cameras_table, georeference
+from skymoor.results.formats import cameras_table, georeference
 from skymoor.results.read import Result
+from skymoor.results.tables import CAMERA_COLUMNS, CameraRow
 
 FRAME = EnuFrame(48.0, 11.0, 500.0)
 ENU_FROM_SFM = Similarity.from_quaternion_wxyz(12.5, [0.5, 0.5, -0.5, 0.5], [1.0, -2.0, 30.0])

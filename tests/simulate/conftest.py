@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from skymoor.simulate import SiteOptions
 from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, Part, cuboid, join, quads, rectangle
+from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.plan import Building, Date
 from skymoor.simulate.world import World
 

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from skymoor.errors import InputError
-from skymoor.simulate import daily_parts, fixed_parts
-from skymoor.simulate.building.assemble import BROKEN_SHARE
+from skymoor.simulate.building.assemble import BROKEN_SHARE, daily_parts, fixed_parts
 from skymoor.simulate.building.covers import roof_texture
 from skymoor.simulate.building.facades import FOOT_M, cells_without
 from skymoor.simulate.building.materials import COLOURS, joint, octaves, wall_texture

@@ -11,10 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from skymoor.errors import InputError
-from skymoor.simulate import Shot, airborne_shots, ground_shots, security_shots, true_view
 from skymoor.simulate.capture.aim import looking
 from skymoor.simulate.capture.footing import circuit_round, clear_views, free_places, ground_up, within_buildings
-from skymoor.simulate.capture.shots import STANDOFF_M
+from skymoor.simulate.capture.shots import STANDOFF_M, Shot, airborne_shots, ground_shots, security_shots, true_view
 from skymoor.simulate.capture.walks import walk_of
 from skymoor.simulate.plan import dates_of, place_of
 from skymoor.simulate.world import World

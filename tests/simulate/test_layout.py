@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from skymoor.simulate import SiteOptions
 from skymoor.simulate.mesh import Label, inside
-from skymoor.simulate.options import Preset
+from skymoor.simulate.options import Preset, SiteOptions
 from skymoor.simulate.place.ground import paint_ground
 from skymoor.simulate.place.land import make_land, terrain, water
 from skymoor.simulate.place.layout import Plan, make_plan

@@ -18,7 +18,7 @@ from skymoor.match.cyclic import cycle_error_px
 from skymoor.orient import GroundLabeler
 from skymoor.reconstruct import PairMatcher, ReconstructOptions, SiftMatcher, reconstruct
 from skymoor.reconstruct.protocol import colmap_name
-from skymoor.simulate import airborne_shots, true_view
+from skymoor.simulate.capture.shots import airborne_shots, true_view
 from skymoor.simulate.light.photo import take_photo, true_depth, true_labels
 from skymoor.simulate.mesh import GROUND_LABELS, stream
 from skymoor.simulate.oracles import (

@@ -19,8 +19,8 @@ from skymoor.geometry import Similarity
 from skymoor.pipeline.site import load_site
 from skymoor.reference.read import read_reference
 from skymoor.results.tables import read_truth_csv
-from skymoor.simulate import airborne_shots, ground_shots, security_shots
 from skymoor.simulate import site as site_module
+from skymoor.simulate.capture.shots import airborne_shots, ground_shots, security_shots
 from skymoor.simulate.light import photo as photo_module
 from skymoor.simulate.mesh import Label
 from skymoor.simulate.plan import place_of

@@ -14,7 +14,6 @@ from skymoor.engines.colmap import write_colmap
 from skymoor.geo import EnuFrame, Grid
 from skymoor.geometry import Intrinsics, Similarity
 from skymoor.results.formats import (
-    CAMERA_COLUMNS,
     cameras_table,
     georeference,
     geotiffs,
@@ -22,6 +21,7 @@ from skymoor.results.formats import (
     pointcloud_las,
     unplaced_cameras,
 )
+from skymoor.results.tables import CAMERA_COLUMNS
 from skymoor.types import Array, Camera, Component
 
 FRAME = EnuFrame(-33.5, -70.25, 612.25)  # south and west: signs are a trap too

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,13 @@ import numpy as np
 from skymoor.geo import EnuFrame, Grid
 from skymoor.geometry import Similarity
 from skymoor.reference.read import read_reference
-from skymoor.results.formats import CAMERA_COLUMNS, CameraRow, cameras_table, georeference, geotiffs, pointcloud_las
+from skymoor.registration.criteria import criterion
+from skymoor.results.formats import cameras_table, georeference, geotiffs, pointcloud_las
+from skymoor.results.tables import CAMERA_COLUMNS, CameraRow
 
 HOSTILE = '<script>alert(1)</script> & Überführung "7" 駅'
 CRS = "EPSG:32632"
+COMPETING = "a competing hypothesis scores 85, the best 90; at least 110.5 is required"
 
 
 def finished_run(folder: Path, *, cameras: int = 9, registered: bool = True) -> Path:
@@ -78,9 +82,10 @@ def _rows(folder: Path, frame: EnuFrame, count: int, *, registered: bool) -> lis
 def summary_of_run(folder: Path, frame: EnuFrame, cameras: int, *, registered: bool) -> dict[str, Any]:
     status = "REGISTERED" if registered else "NOT_REGISTERED"
     air: dict[str, Any] = {
-        **{"component": 0, "status": status, "reason": "" if registered else "another place is nearly as good"},
+        **{"component": 0, "status": status, "reason": "" if registered else COMPETING},
         **{"n_cameras": cameras, "n_matches": 200, "n_inliers": 190, "rmse_m": 0.3, "reprojection_px": 0.4},
         **{"tilt_deg": 0.2, "calibration_note": "", "contradicting_cameras": [], "diagnostics": {}},
+        "criteria": [asdict(criterion("competing_score", 90.0, 65.0 if registered else 110.5))],
     }
     place = {"lat": 48.0, "lon": 11.0, "east": 1.0, "north": 2.0}
     air["hypotheses"] = [{"score": 90.0, **place, "azimuth_deg": 3.0, "metres_per_unit": 12.0}]
@@ -89,9 +94,10 @@ def summary_of_run(folder: Path, frame: EnuFrame, cameras: int, *, registered: b
         air |= {"predicted_ce90_m": 2.1, "predicted_le90_m": 3.8}
         air |= {"predicted_relative_ce90_m": 0.2, "predicted_relative_le90_m": 0.9}
     wall = {"component": 0, "status": "NOT_REGISTERED", "reason": "no wall fits", "n_cameras": 1}
+    wall["criteria"] = [asdict(criterion("wall_hypotheses", 0, 1))]
     files = {"ortho": str(folder / "ortho.tif"), "dsm": str(folder / "dsm.tif"), "vertical_datum": "ellipsoid"}
     return {
-        **{"skymoor": "0.1.0", "site": HOSTILE, "seed": 0, "options": {"match": {"dense": {"kind": "structural"}}}},
+        **{"skymoor": "0.1.0", "site": HOSTILE, "seed": 0, "options": {"match": {"matcher": "structural"}}},
         "reference": {**files, "covariance_m2": np.diag([1.0, 1.0, 2.0]).tolist()},
         "enu_origin": {"lat": frame.lat_deg, "lon": frame.lon_deg, "height": frame.height_m},
         "provenance": {"python": "3.11"},

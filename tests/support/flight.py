@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image as PillowImage
 
-from skymoor.simulate import SiteOptions
 from skymoor.simulate.light.pages import WHITE
 from skymoor.simulate.light.photo import Sensor, developed, true_depth
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, cuboid, join
+from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.plan import Date, dates_of
 from skymoor.simulate.site import Site
 from skymoor.simulate.world import World

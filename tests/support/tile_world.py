@@ -134,6 +134,10 @@ class TileOracle:
     def _tiles(self) -> dict[bytes, tuple[int, Array32]]:
         return {tile.raster.rgb.tobytes(): (k, tile.xyz_enu) for k, tile in enumerate(self.airborne.tiles)}
 
+    def cache_key(self) -> tuple[float, float, float, bool]:
+        """For the cache of a run."""
+        return self.noise_px, self.outlier_share, self.false_share, self.blind
+
     def __call__(self, a: Raster, b: Raster) -> Warp:
         (photo, xyz_a), (tile, xyz_b) = self._photos[a.rgb.tobytes()], self._tiles[b.rgb.tobytes()]
         self.calls.append((photo, tile))

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from skymoor.simulate import SiteOptions
+from skymoor.simulate.options import SiteOptions
 
 
 @dataclass(frozen=True, kw_only=True)

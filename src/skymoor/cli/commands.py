@@ -37,7 +37,7 @@ DEMO = SiteOptions(
 def run(command: Run) -> bool:
     """`skymoor run`; returns whether everything was registered."""
     from skymoor import api
-    from skymoor.cli.tables import plan_table, summary_table
+    from skymoor.cli.tables import plan_table, remedies, summary_table
     from skymoor.pipeline.option_parser import parse_option
     from skymoor.results.report.write import PAGE
 
@@ -64,6 +64,8 @@ def run(command: Run) -> bool:
         )
         summary = result.summary
         screen.show(summary_table(summary))
+        for line in remedies(summary):
+            screen.note(line)
         screen.note(f"results in {command.out}; to read: {command.out / PAGE}")
         screen.answer({"out": command.out.resolve(), "site": summary["site"], "sets": summary["sets"]})
     return result.registered
@@ -125,7 +127,7 @@ def clean(command: Clean) -> None:
         raise InputError(f"{command.run}: is no folder of a run; give the one that skymoor run wrote with --out")
     with Screen(plain=True) as screen, Store.open(command.run) as store:
         freed = store.clean()
-        screen.note(f"{command.run}: {freed / 1e6:.1f} MB freed; results stay, and the same run would start anew")
+        screen.note(f"{command.run}: {freed / 1e6:.1f} MB freed; the results are kept, the same run starts anew")
 
 
 def simulate(command: Simulate) -> None:
@@ -146,7 +148,7 @@ def demo(command: Demo) -> bool:
     evaluate(Evaluate(run=result, truth=site / "truth.csv"))
     with Screen(plain=True) as screen:
         screen.note(
-            f"read {result / 'report.html'} in a browser; pictures are in {result / 'renders'} and "
+            f"read {result / 'report.html'} in a browser; figures are in {result / 'renders'} and "
             f"{result / 'matches'}, all figures in {result / 'summary.json'}"
         )
     return registered

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What this machine brings, and what to do about what it lacks."""
+"""What this machine has for a run, and the remedy for what it lacks."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from skymoor import __version__
 from skymoor.engines.libraries import version_of
 from skymoor.engines.weights import KNOWN, weights_folder
 
-LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "pycolmap", "rasterio", "pyproj", "torch", "laspy", "rich")
+LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "pycolmap", "rasterio", "pyproj", "laspy", "rich")
 OPTIONAL = {
+    "torch": "nerf",
     "kornia": "kornia",
     "romatch": "roma",
     "transformers": "segmentation",
@@ -29,21 +30,21 @@ LEAST_FREE_GB, LEAST_MEMORY_GB = 5.0, 4.0
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at. `mend` is empty where all is well; without `needed` it is only a hint."""
+    """One thing that was checked. `remedy` is empty where all is well; without `needed` it is only a hint."""
 
     name: str
     found: str
-    mend: str = ""
+    remedy: str = ""
     needed: bool = True
 
     @property
     def status(self) -> str:
         """ "ok", "missing", or "optional" for what only some engines want."""
-        return "ok" if not self.mend else "missing" if self.needed else "optional"
+        return "ok" if not self.remedy else "missing" if self.needed else "optional"
 
 
 def examine(folder: Path) -> list[Check]:
-    """Look at everything that a run with results in `folder` may want. Downloads nothing, and raises nothing."""
+    """Check all that a run with results in `folder` may need. Downloads nothing, and raises nothing."""
     return [
         Check("skymoor", __version__),
         Check("python", f"{platform.python_version()} on {platform.platform()}"),
@@ -71,16 +72,17 @@ def _optional(name: str, extra: str) -> Check:
 def _processors() -> Iterator[Check]:
     yield Check("cores", str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()))
     try:
-        import torch
+        if version_of("torch"):
+            import torch
 
-        gpus = [torch.cuda.get_device_name(k) for k in range(torch.cuda.device_count())]
-        yield _gpu("gpu for networks", ", ".join(gpus), "PyTorch sees no CUDA: everything runs on the CPU")
+            gpus = [torch.cuda.get_device_name(k) for k in range(torch.cuda.device_count())]
+            yield _gpu("GPU for networks", ", ".join(gpus), "PyTorch sees no CUDA device: networks run on the CPU")
         import pycolmap
 
         colmap = "yes" if pycolmap.has_cuda else ""
-        yield _gpu("gpu for COLMAP", colmap, "PatchMatch stereo wants COLMAP with CUDA; the default stereo does not")
+        yield _gpu("GPU for COLMAP", colmap, "PatchMatch stereo needs COLMAP with CUDA; the default stereo does not")
     except (ImportError, OSError, RuntimeError) as error:
-        yield Check("gpu", "-", f"a library cannot be loaded: {error}")
+        yield Check("GPU", "-", f"a library cannot be loaded: {error}")
 
 
 def _gpu(name: str, found: str, hint: str) -> Check:
@@ -92,8 +94,8 @@ def _memory() -> Iterator[Check]:
         gigabytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
     except (AttributeError, ValueError, OSError):  # not on every system
         return
-    mend = "" if gigabytes >= LEAST_MEMORY_GB else f"small runs take 2 GB, {LEAST_MEMORY_GB:.0f} GB are comfortable"
-    yield Check("memory", f"{gigabytes:.1f} GB", mend)
+    remedy = "" if gigabytes >= LEAST_MEMORY_GB else f"small runs take 2 GB, {LEAST_MEMORY_GB:.0f} GB are comfortable"
+    yield Check("memory", f"{gigabytes:.1f} GB", remedy)
 
 
 def _disks(folder: Path) -> Iterator[Check]:
@@ -101,8 +103,8 @@ def _disks(folder: Path) -> Iterator[Check]:
     for name, path in (("disk for results", there), ("disk for temporary files", Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(path).free / 1e9
         where = "another --out" if path == there else "another folder in TMPDIR"
-        mend = "" if free >= LEAST_FREE_GB else f"a run may want {LEAST_FREE_GB:.0f} GB: make room, or give {where}"
-        yield Check(name, f"{free:.1f} GB free in {path}", mend)
+        remedy = "" if free >= LEAST_FREE_GB else f"a run may want {LEAST_FREE_GB:.0f} GB: make room, or give {where}"
+        yield Check(name, f"{free:.1f} GB free in {path}", remedy)
         if not os.access(path, os.W_OK):
             yield Check(name, f"{path} cannot be written", f"give {where}")
 

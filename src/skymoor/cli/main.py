@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
 from collections.abc import Sequence
 from functools import reduce
@@ -30,7 +31,7 @@ from skymoor.cli.arguments import (
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 from skymoor.pipeline.option_parser import nearest
 
-# What disks and paths are guilty of, wherever it comes up; the rest is an error of ours.
+# Errors of disks and paths, which the user can fix; all others are errors of this program.
 OF_THE_DISK = (
     *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO),
     *(errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP),
@@ -58,6 +59,7 @@ in, and every camera and model gets its place, with an accuracy, or a reason why
 Begin with: skymoor doctor, then skymoor demo, then skymoor run site.toml --out result. Each command explains itself:
 skymoor run --help."""
 EXIT_REGISTERED, EXIT_ERROR, EXIT_USAGE, EXIT_NOT_REGISTERED = 0, 1, 2, 3
+EXIT_BROKEN_PIPE, EXIT_INTERRUPTED = 141, 130  # as a shell reports the signals
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -70,21 +72,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if arguments and not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
             raise InputError(f"there is no command {arguments[0]}; {nearest(arguments[0], list(COMMANDS))}")
         chosen = tyro.cli(_Command, args=arguments, prog="skymoor", description=DESCRIPTION)
-        return _done(chosen)
+        status = _done(chosen)
+        sys.stdout.flush()
+        return status
     except (InputError, BackendUnavailable) as error:  # an engine that is not here was asked for
         _tell(error)
         return EXIT_USAGE
     except SkymoorError as error:
         _tell(error)
         return EXIT_ERROR
+    except BrokenPipeError:  # whoever read the output, such as head, has enough
+        sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115 - or the interpreter complains when it ends
+        return EXIT_BROKEN_PIPE
     except OSError as error:
         if error.errno not in OF_THE_DISK:
             raise
-        _tell(f"{error.filename or 'a file'}: {error.strerror}; mend that, and the same command goes on from here")
+        _tell(
+            f"{error.filename or 'a file'}: {error.strerror}; once that is fixed, the same command continues from here"
+        )
         return EXIT_USAGE
     except KeyboardInterrupt:
-        print("skymoor: stopped; the same command goes on from here", file=sys.stderr)
-        return 130
+        print("skymoor: stopped; the same command continues from here", file=sys.stderr)
+        return EXIT_INTERRUPTED
 
 
 def _done(chosen: Any) -> int:

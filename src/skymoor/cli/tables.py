@@ -14,6 +14,7 @@ from skymoor.cli.doctor import Check
 from skymoor.engines.weights import Weights
 from skymoor.evaluate import EvaluationRow
 from skymoor.pipeline.estimate import Step
+from skymoor.registration.criteria import remedy_of
 
 
 def summary_table(summary: dict[str, Any]) -> Table:
@@ -37,6 +38,12 @@ def summary_table(summary: dict[str, Any]) -> Table:
         if not item["components"]:
             table.add_row(item["set"], "-", item["status"], "0", "-", "-", "-", "-", item["reason"])
     return table
+
+
+def remedies(summary: dict[str, Any]) -> list[str]:
+    """One line for each refused component for which a remedy is known."""
+    components = [(item["set"], part) for item in summary["sets"] for part in item["components"]]
+    return [f"{name} {part['component']}: {remedy}" for name, part in components if (remedy := remedy_of(part))]
 
 
 def evaluation_table(rows: Sequence[EvaluationRow]) -> Table:
@@ -130,7 +137,7 @@ def checks_table(checks: Sequence[Check]) -> Table:
     for heading in ("", "found", "status", "what to do"):
         table.add_column(heading, overflow="fold")
     for check in checks:
-        table.add_row(Text(check.name), Text(check.found), check.status, Text(check.mend))
+        table.add_row(Text(check.name), Text(check.found), check.status, Text(check.remedy))
     return table
 
 

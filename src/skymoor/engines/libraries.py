@@ -39,9 +39,11 @@ def version_of(library: str) -> str | None:
 
 
 def torch_device(name: str) -> str:
-    """`cpu` or `cuda`; `auto` takes CUDA where there is one. Raises `BackendUnavailable` if CUDA is missing."""
-    import torch
+    """`cpu` or `cuda`; `auto` takes CUDA where there is one.
 
+    Raises `BackendUnavailable` if PyTorch is not installed, or CUDA is asked for and missing.
+    """
+    torch = require("torch", "nerf")
     if name not in ("auto", "cpu", "cuda"):
         raise BackendUnavailable(f"device = {name}: it is auto, cpu or cuda")
     found = torch.cuda.is_available()

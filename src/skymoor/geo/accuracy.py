@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy  # its parts load when they are first used
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
-from scipy.stats import norm
 
 from skymoor.errors import InputError
 
@@ -15,7 +14,7 @@ Array = NDArray[np.float64]
 PROBABILITY = 0.9
 # CE90 of a circular error and LE90, in standard deviations.
 CE90_PER_SIGMA = float(np.sqrt(-2.0 * np.log(1.0 - PROBABILITY)))
-LE90_PER_SIGMA = float(norm.ppf((1.0 + PROBABILITY) / 2.0))
+LE90_PER_SIGMA = 1.6448536269514722  # quantile of the normal distribution at (1 + PROBABILITY) / 2
 
 
 def covariance_from_ce90_le90(ce90_m: float, le90_m: float) -> Array:
@@ -42,7 +41,7 @@ def ce90_m(covariance: ArrayLike) -> float:
     if major == 0:
         return 0.0
     ratio = float(minor / major)
-    radius = brentq(
+    radius = scipy.optimize.brentq(
         lambda r: _share_within(r, ratio) - PROBABILITY, 0.9 * LE90_PER_SIGMA, 1.1 * CE90_PER_SIGMA, xtol=1e-12
     )
     return float(radius * major)
@@ -91,5 +90,5 @@ def _share_within(radius: float, ratio: float) -> float:
     """
     t = (np.arange(2048) + 0.5) * (np.pi / 2 / 2048)
     x, half_width = radius * np.sin(t), radius * np.cos(t)
-    across = np.ones_like(t) if ratio == 0 else 1.0 - 2.0 * norm.sf(half_width / ratio)
-    return float(np.pi * np.mean(norm.pdf(x) * across * half_width))
+    across = np.ones_like(t) if ratio == 0 else 1.0 - 2.0 * scipy.stats.norm.sf(half_width / ratio)
+    return float(np.pi * np.mean(scipy.stats.norm.pdf(x) * across * half_width))

@@ -9,10 +9,8 @@ from functools import lru_cache
 from typing import Literal, cast
 
 import numpy as np
+import scipy  # its parts load when they are first used
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import quad
-from scipy.spatial.transform import Rotation
-from scipy.stats import chi
 
 from skymoor.errors import DegenerateGeometry, TooFewMatches
 from skymoor.geometry.similarity import Similarity
@@ -192,7 +190,7 @@ class _Problem:
 
 def _moved(transform: Similarity, step: Array, centre: Array) -> Similarity:
     scale = float(np.exp(step[0]))
-    rotation = Rotation.from_rotvec(step[1:4]).as_matrix()
+    rotation = scipy.spatial.transform.Rotation.from_rotvec(step[1:4]).as_matrix()
     about_centre = Similarity(scale, rotation, centre + step[4:] - scale * (rotation @ centre))
     return about_centre @ transform
 
@@ -253,9 +251,9 @@ def _gaussian_means(loss: Loss) -> tuple[float, float, float]:
                 "square": (_weights(loss, m) * m) ** 2 / 3.0,
                 "weight": _weights(loss, m),
             }
-            return float(value[of][0] * chi.pdf(length, 3))
+            return float(value[of][0] * scipy.stats.chi.pdf(length, 3))
 
         cut = TUKEY_CUT if loss == "tukey" else HUBER_CUT
-        return float(quad(integrand, 0.0, cut)[0] + quad(integrand, cut, cut + 12.0)[0])
+        return float(scipy.integrate.quad(integrand, 0.0, cut)[0] + scipy.integrate.quad(integrand, cut, cut + 12.0)[0])
 
     return mean("slope"), mean("square"), mean("weight")

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+import scipy  # its parts load when they are first used
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from skymoor.errors import DegenerateGeometry, TooFewMatches
 
@@ -62,19 +62,21 @@ class Similarity:
         length = float(np.linalg.norm(quaternion))
         if not np.isfinite(length) or length < 1e-12:
             raise DegenerateGeometry("a quaternion of length zero or with infinite values is no rotation")
-        rotation = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+        rotation = scipy.spatial.transform.Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
         return cls(scale, rotation, np.asarray(translation, dtype=np.float64))
 
     @property
     def quaternion_wxyz(self) -> Array:
         """Unit quaternion (4,), scalar first and not negative."""
-        quaternion = Rotation.from_matrix(self.rotation).as_quat(canonical=True, scalar_first=True)
+        quaternion = scipy.spatial.transform.Rotation.from_matrix(self.rotation).as_quat(
+            canonical=True, scalar_first=True
+        )
         return cast(Array, quaternion)
 
     @property
     def rotation_angle_deg(self) -> float:
         """Angle of the rotation about its own axis, 0 to 180 degrees."""
-        return float(np.degrees(Rotation.from_matrix(self.rotation).magnitude()))
+        return float(np.degrees(scipy.spatial.transform.Rotation.from_matrix(self.rotation).magnitude()))
 
     def matrix(self) -> Array:
         """Homogeneous matrix (4, 4)."""

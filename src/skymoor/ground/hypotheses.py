@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 from skymoor.geometry import Similarity
+from skymoor.registration.criteria import criterion, with_criteria
 from skymoor.types import Registration
 
 
@@ -47,4 +48,4 @@ class OneHypothesis:
         """See `Hypotheses`."""
         if not excluded:
             return self.registration
-        return replace(self.registration, registered=False, reason="nothing was found")
+        return with_criteria(self.registration, [criterion("other_hypotheses", 0, 1)])

@@ -10,7 +10,8 @@ import numpy as np
 
 from skymoor.geometry import Similarity
 from skymoor.ground.hypotheses import Hypotheses
-from skymoor.types import Array, DepthMap, Registration
+from skymoor.registration.criteria import criterion, refusal_of
+from skymoor.types import Array, Criterion, DepthMap, Registration
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def decide_jointly(
     """
     options = options or JointOptions()
     shown = [_sampled(maps, options.points) for maps in maps_level]
-    excluded: list[dict[int, str]] = [{} for _ in answers]
+    excluded: list[dict[int, tuple[Criterion, str]]] = [{} for _ in answers]
     decided: dict[int, Registration] = {}
     while True:
         judged = {k: answers[k].decide(excluded[k]) for k in range(len(answers)) if k not in decided}
@@ -64,8 +65,9 @@ def decide_jointly(
         for k in judged.keys() - {surest}:
             for number, place in enumerate(answers[k].places):
                 share = conflict(shown[k], maps_level[k], place, shown[surest], maps_level[surest], surely, options)
-                if share > options.max_conflict:
-                    excluded[k].setdefault(number, f"{share:.0%} of what both show contradicts {names[surest]}")
+                conflicts = criterion("conflict", share, options.max_conflict)
+                if not conflicts.passed:
+                    excluded[k].setdefault(number, (conflicts, names[surest]))
 
 
 def conflict(
@@ -130,8 +132,10 @@ def _sampled(maps: Sequence[DepthMap], count: int) -> Array:
     return points[:: max(1, len(points) // count)].astype(np.float64)
 
 
-def _explained(found: Registration, excluded: dict[int, str]) -> Registration:
-    """A refusal that says if the best place was out because of another component."""
+def _explained(refused: Registration, excluded: dict[int, tuple[Criterion, str]]) -> Registration:
+    """A refusal that says if the best hypothesis was excluded because it contradicts another component."""
     if 0 not in excluded:
-        return found
-    return replace(found, reason=f"at the best place {excluded[0]}; elsewhere {found.reason}")
+        return refused
+    conflicts, other = excluded[0]
+    reason = f"at the best hypothesis {refusal_of(conflicts, {'other': other})}; elsewhere {refused.reason}"
+    return replace(refused, reason=reason, criteria=(conflicts, *refused.criteria))

@@ -23,6 +23,7 @@ from skymoor.pipeline.register_best import register_best
 from skymoor.pipeline.search import search_reference
 from skymoor.reconstruct import ReconstructOptions, reconstruct, with_focal
 from skymoor.registration import HeightScale, estimate_height_scale, focal_correction
+from skymoor.registration.criteria import criterion, with_criteria
 from skymoor.types import Component, DepthMap, Mask, Matches3D, Reference, Registration, Render
 
 DECISIVE = 1 / 50
@@ -84,8 +85,8 @@ def _register(name: str, component: Component, job: Job) -> ComponentResult:
         return refused(name, component, str(error))
     hypotheses = _search(name, render, job)
     if not hypotheses:
-        reason = "the reference is too small for the model at any height that was searched"
-        nothing = Registration(registered=False, reason=reason, enu_from_level=None)
+        none = Registration(registered=False, reason="", enu_from_level=None)
+        nothing = with_criteria(none, [criterion("map_hypotheses", 0, 1)])
         return ComponentResult(name, level, level_from_sfm, nothing, gravity, depths, model, render)
     registration, matches = _consensus(name, hypotheses, render, job)
     found = ComponentResult(name, level, level_from_sfm, registration, gravity, depths, model, render, matches)

@@ -207,8 +207,8 @@ def _covariance(reference: Mapping[str, object], where: str) -> Array:
 def _from_ce90_le90(ce90: float | None, le90: float | None, where: str) -> Array:
     if ce90 is None or le90 is None:
         missing = " and ".join(name for name, value in (("ce90", ce90), ("le90", le90)) if value is None)
-        mend = "give --ce90 M --le90 M" if where == "command line" else "write ce90 = M and le90 = M in [reference]"
-        raise InputError(f"{where}: {STATE_ACCURACY}: {missing} missing; {mend}, in metres")
+        remedy = "give --ce90 M --le90 M" if where == "command line" else "write ce90 = M and le90 = M in [reference]"
+        raise InputError(f"{where}: {STATE_ACCURACY}: {missing} missing; {remedy}, in metres")
     if not (0 < ce90 < np.inf and 0 < le90 < np.inf):
         raise InputError(f"{where}: ce90 = {ce90} and le90 = {le90} must be metres above zero")
     return covariance_from_ce90_le90(ce90, le90)

@@ -12,12 +12,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
-from torch import Tensor, nn
 
-from skymoor.engines.libraries import torch_device
+from skymoor.engines.libraries import require, torch_device
 from skymoor.engines.options import FIXED
-from skymoor.engines.weights import find, load_into, load_state_dict
+from skymoor.engines.weights import find
 from skymoor.errors import InputError
 from skymoor.reconstruct.protocol import PairFilter, ViewGraph
 from skymoor.types import Array, Array32, Image
@@ -61,6 +59,7 @@ class DoppelgangerClassifier:
 
     def ready(self) -> tuple[Path, ...]:
         """The file that will be read; see `__call__` for what is raised where it is missing."""
+        require("torch", "nerf")
         return (find("doppelgangers", "doppelgangers_classifier_loftr.pt", self.weights),)
 
     def __call__(self, graph: ViewGraph) -> list[int]:
@@ -76,7 +75,11 @@ class DoppelgangerClassifier:
     def probabilities(self, graph: ViewGraph) -> Array:
         """Of showing the same place, (n pairs,); errors as of a call."""
         device = torch_device(self.device)
-        network = _network(*self.ready(), device)
+        import torch
+
+        from skymoor.reconstruct._doppelgangers_network import load_classifier
+
+        network = load_classifier(*self.ready(), device)
 
         @lru_cache(maxsize=32)
         def photo(index: int) -> tuple[Image, Array]:
@@ -92,43 +95,6 @@ class DoppelgangerClassifier:
 
 
 _: type[PairFilter] = DoppelgangerClassifier
-
-
-class Classifier(nn.Module):
-    """Three stages of two residual blocks on ten layers; two scores: another place, the same place."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.conv1 = nn.Conv2d(10, 128, 7, stride=2, padding=3, bias=False)
-        self.bn1 = nn.BatchNorm2d(128)
-        self.layer1 = nn.Sequential(_Block(128, 128, 2), _Block(128, 128, 1))
-        self.layer2 = nn.Sequential(_Block(128, 256, 2), _Block(256, 256, 1))
-        self.layer3 = nn.Sequential(_Block(256, 512, 2), _Block(512, 512, 1))
-        self.fc = nn.Linear(512, 2)
-
-    def forward(self, layers: Tensor) -> Tensor:
-        """Scores (n, 2) of layers (n, 10, side, side)."""
-        x = torch.relu(self.bn1(self.conv1(layers)))
-        x = self.layer3(self.layer2(self.layer1(x)))
-        scores: Tensor = self.fc(x.mean(dim=(2, 3)))
-        return scores
-
-
-class _Block(nn.Module):
-    """He et al., Deep residual learning, CVPR 2016: two convolutions and a way past them."""
-
-    def __init__(self, before: int, after: int, stride: int) -> None:
-        super().__init__()
-        self.conv1 = nn.Conv2d(before, after, 3, stride=stride, padding=1, bias=False)
-        self.bn1 = nn.BatchNorm2d(after)
-        self.conv2 = nn.Conv2d(after, after, 3, padding=1, bias=False)
-        self.bn2 = nn.BatchNorm2d(after)
-        shortcut = [nn.Conv2d(before, after, 1, stride=stride, bias=False), nn.BatchNorm2d(after)]
-        self.downsample = nn.Sequential(*(shortcut if stride > 1 else []))
-
-    def forward(self, x: Tensor) -> Tensor:
-        y = self.bn2(self.conv2(torch.relu(self.bn1(self.conv1(x)))))
-        return torch.relu(self.downsample(x) + y)
 
 
 def pair_layers(first: tuple[Image, Array], second: tuple[Image, Array], matches: Array, side_px: int) -> Array32:
@@ -177,12 +143,3 @@ def _reduced(image: Image, side_px: int) -> tuple[Image, Array]:
     size = [max(MULTIPLE, round(side * ratio) // MULTIPLE * MULTIPLE) for side in (w, h)]
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA if ratio < 1 else cv2.INTER_LINEAR)
     return np.asarray(small, np.uint8), np.array(size) / [w, h]
-
-
-@lru_cache(maxsize=1)
-def _network(weights: Path, device: str) -> Classifier:
-    network = Classifier()
-    # It has been saved from several GPUs, which puts a word before each name.
-    spread = all(name.startswith("module.") for name in load_state_dict(weights, part="dec"))
-    load_into(nn.ModuleDict({"module": network}) if spread else network, weights, part="dec")
-    return network.to(device).eval()

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -12,37 +12,37 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from skymoor.engines.libraries import require
 from skymoor.errors import InputError
 from skymoor.evaluate import EvaluationRow, evaluate
 from skymoor.geo import EnuFrame
 from skymoor.geometry import Similarity
-from skymoor.results.formats import CameraRow
 from skymoor.results.report.table import summary_html
-from skymoor.results.tables import read_camera_rows, read_cameras_csv, read_truth_csv
+from skymoor.results.tables import CAMERA_COLUMNS, CameraRow, read_camera_rows, read_cameras_csv, read_truth_csv
 from skymoor.types import Array
 
 if TYPE_CHECKING:
+    import geopandas
+    import pandas as pd
     import pycolmap
 
 RUN_FIRST = "run skymoor run first"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ComponentSummary:
     """One component of a set of photos; `summary` is its part of summary.json, and the rest is for convenience.
 
     Attributes:
-        set, index: which one; its products are called `name`.
-        registered, reason: whether skymoor believes its place, and why not.
-        enu_from_sfm: metres of the site from the units of the reconstruction; None where it is not registered.
+        image_set, index: which one; its products are called `name`.
+        registered, reason: whether it was accepted, and why not.
         ce90_m, le90_m: predicted, means over the cameras; None where it is not registered.
     """
 
-    set: str
+    image_set: str
     index: int
     registered: bool
     reason: str
-    enu_from_sfm: Similarity | None
     ce90_m: float | None
     le90_m: float | None
     summary: dict[str, Any]
@@ -50,10 +50,27 @@ class ComponentSummary:
     @property
     def name(self) -> str:
         """Such as airborne_0."""
-        return f"{self.set}_{self.index}"
+        return f"{self.image_set}_{self.index}"
+
+    def __repr__(self) -> str:
+        if not self.registered:
+            return f"{self.name}: NOT_REGISTERED, {self.reason}"
+        known = self.ce90_m is not None and self.le90_m is not None
+        accuracy = f", CE90 {self.ce90_m:.2f} m, LE90 {self.le90_m:.2f} m" if known else ""
+        return f"{self.name}: REGISTERED, {self.summary.get('n_cameras', '?')} cameras{accuracy}"
+
+    @cached_property
+    def enu_from_sfm(self) -> Similarity | None:
+        """ENU metres of the site from the units of the reconstruction; None where it is not registered."""
+        transform = self.summary.get("enu_from_sfm")
+        if transform is None:
+            return None
+        return Similarity.from_quaternion_wxyz(
+            transform["scale"], transform["quaternion_wxyz"], transform["translation_m"]
+        )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """What `skymoor run` left in `folder`.
 
@@ -97,13 +114,13 @@ class Result:
 
     @cached_property
     def placed(self) -> tuple[CameraRow, ...]:
-        """Those with a place."""
+        """Those with a position."""
         return tuple(row for row in self.cameras if row.lat is not None)
 
     def scene_centres(self) -> dict[tuple[str, int], Array]:
         """Where each registered component's scene is, (3,) ENU metres, by set and number."""
         return {
-            (one.set, one.index): np.array(one.summary["scene_centre_enu"], dtype=np.float64)
+            (one.image_set, one.index): np.array(one.summary["scene_centre_enu"], dtype=np.float64)
             for one in self.components
             if "scene_centre_enu" in one.summary
         }
@@ -128,7 +145,7 @@ class Result:
             raise InputError(f"{folder}: no COLMAP model of the run; {RUN_FIRST}") from error
 
     def residuals(self, component: ComponentSummary) -> Array | None:
-        """What the transform leaves at the matches that agree, (n, 3) metres east, north, up; None if not kept."""
+        """Residuals of the inliers, (n, 3) metres east, north, up; None if they were not kept."""
         try:
             with np.load(self.folder / "matches" / f"{component.name}.npz", allow_pickle=False) as arrays:
                 metres: Array = np.asarray(arrays["residuals_m"], np.float64)[arrays["inliers"]]
@@ -139,28 +156,41 @@ class Result:
     def evaluate(self, truth: Path | str) -> list[EvaluationRow]:
         """Errors against truth.csv (`image,lat,lon,height`), metres, one row for each set and component.
 
-        Raises `InputError` when the table cannot be read, or does not know a camera that has a place.
+        Raises `InputError` when the table cannot be read, or does not know a registered camera.
         """
         estimates, truths = read_cameras_csv(self.folder / "cameras.csv"), read_truth_csv(Path(truth))
         return evaluate(estimates, truths, self.frame, self.covariance, self.scene_centres())
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """cameras.csv as a table of pandas, one row per image. Raises `BackendUnavailable` where pandas is missing."""
+        pandas = require("pandas", "table")
+        return pandas.DataFrame.from_records([asdict(row) for row in self.cameras], columns=CAMERA_COLUMNS)
+
+    def to_geodataframe(self) -> geopandas.GeoDataFrame:
+        """The same with points of WGS 84 longitude, latitude and ellipsoidal height (EPSG:4979), none where not placed.
+
+        Raises `BackendUnavailable` where geopandas is missing.
+        """
+        geopandas, table = require("geopandas", "table"), self.to_dataframe()
+        numbers = table[["lon", "lat", "height"]].astype(float)
+        points = geopandas.points_from_xy(numbers["lon"], numbers["lat"], numbers["height"])
+        placed = numbers["lat"].notna()
+        return geopandas.GeoDataFrame(table, geometry=geopandas.GeoSeries(points).where(placed), crs="EPSG:4979")
+
+    def __repr__(self) -> str:
+        lines = [f"{self.summary.get('site', '')}: result in {self.folder}"]
+        return "\n".join([*lines, *(f"  {one}" for one in self.components)])
 
     def _repr_html_(self) -> str:
         return summary_html(self.summary)
 
 
 def _component(set_name: str, summary: dict[str, Any]) -> ComponentSummary:
-    transform = summary.get("enu_from_sfm")
-    similarity = None
-    if transform is not None:
-        similarity = Similarity.from_quaternion_wxyz(
-            transform["scale"], transform["quaternion_wxyz"], transform["translation_m"]
-        )
     return ComponentSummary(
-        set=str(set_name),
+        image_set=str(set_name),
         index=int(summary["component"]),
         registered=summary["status"] == "REGISTERED",
         reason=str(summary["reason"]),
-        enu_from_sfm=similarity,
         ce90_m=summary.get("predicted_ce90_m"),
         le90_m=summary.get("predicted_le90_m"),
         summary=summary,

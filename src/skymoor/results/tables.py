@@ -7,20 +7,51 @@ import csv
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from skymoor.errors import InputError
 from skymoor.evaluate import Estimate, Truth
-from skymoor.results.formats import CameraRow
 
 TRUTH_COLUMNS = ("image", "lat", "lon", "height")
 ACCURACY = ("ce90", "le90")
 RELATIVE = ("relative_ce90", "relative_le90")  # runs of former versions have none
 ESTIMATED = ("lat", "lon", "height", *ACCURACY, *RELATIVE)
 TEXTS = ("image", "set", "component", "status")
-CAMERA_COLUMNS = (*TEXTS, "lat", "lon", "height", *ACCURACY)
+REQUIRED_COLUMNS = (*TEXTS, "lat", "lon", "height", *ACCURACY)
+
+
+@dataclass(frozen=True)
+class CameraRow:
+    """One line of cameras.csv, columns in this order; everything from `lat` on is None where it is not placed.
+
+    Latitude and longitude in WGS 84 degrees, height above its ellipsoid, and east, north, up of the site in metres;
+    the quaternion is camera-from-ENU; `ce90` and `le90` are predicted metres, and `relative_ce90` and `relative_le90`
+    the same without the error of the reference, which all cameras share.
+    """
+
+    image: str
+    set: str
+    component: int | None
+    status: str
+    lat: float | None = None
+    lon: float | None = None
+    height: float | None = None
+    east: float | None = None
+    north: float | None = None
+    up: float | None = None
+    qw: float | None = None
+    qx: float | None = None
+    qy: float | None = None
+    qz: float | None = None
+    ce90: float | None = None
+    le90: float | None = None
+    relative_ce90: float | None = None
+    relative_le90: float | None = None
+
+
+CAMERA_COLUMNS = tuple(item.name for item in fields(CameraRow))
 
 
 def read_truth_csv(path: Path) -> list[Truth]:
@@ -60,7 +91,7 @@ def read_camera_rows(path: Path) -> list[CameraRow]:
 
 def _cameras(path: Path, columns: Sequence[str]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
     """Image, set, component and status of each line, and the numbers in these columns, None where there is none."""
-    for line, row in _rows(path, CAMERA_COLUMNS):
+    for line, row in _rows(path, REQUIRED_COLUMNS):
         where = f"{path}, line {line}"
         if row["status"] not in ("REGISTERED", "NOT_REGISTERED"):
             raise InputError(f"{where}: status {row['status']!r} is neither REGISTERED nor NOT_REGISTERED")

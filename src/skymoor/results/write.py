@@ -22,8 +22,6 @@ from skymoor.pipeline.overlay import warp_to_reference
 from skymoor.pipeline.site import Site
 from skymoor.registration import CameraAccuracy, camera_accuracy
 from skymoor.results.formats import (
-    CAMERA_COLUMNS,
-    CameraRow,
     cameras_geojson,
     cameras_table,
     georeference,
@@ -39,6 +37,7 @@ from skymoor.results.report.renderings import (
     overlay_figure,
     residual_figure,
 )
+from skymoor.results.tables import CAMERA_COLUMNS, CameraRow
 from skymoor.store import Store
 from skymoor.types import Array, Reference
 
@@ -160,6 +159,7 @@ def _component_summary(index: int, item: ComponentResult, reference: Reference) 
         "component": index,
         "status": REGISTERED if found.registered else NOT_REGISTERED,
         "reason": found.reason,
+        "criteria": [asdict(one) for one in found.criteria],
         "n_cameras": len(item.component.cameras),
         "n_matches": found.n_matches,
         "n_inliers": found.n_inliers,

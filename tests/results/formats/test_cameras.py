@@ -12,15 +12,13 @@ from scipy.spatial.transform import Rotation
 from skymoor.geo import EnuFrame
 from skymoor.geometry import Intrinsics, Similarity
 from skymoor.results.formats import (
-    CAMERA_COLUMNS,
-    CameraRow,
     cameras_geojson,
     cameras_table,
     georeference,
     placed_cameras,
     unplaced_cameras,
 )
-from skymoor.results.tables import read_cameras_csv
+from skymoor.results.tables import CAMERA_COLUMNS, CameraRow, read_cameras_csv
 from skymoor.store import Store
 from skymoor.types import Camera
 

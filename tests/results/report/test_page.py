@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from skymoor.cli.main import main
+from skymoor.registration.criterion_kinds import KINDS
 from skymoor.results.read import Result
 from skymoor.results.report.page import report_page
 from support.finished import HOSTILE, finished_run
@@ -78,15 +79,17 @@ def test_names_are_words_and_not_markup(tmp_path: Path) -> None:
 
 def test_each_component_is_told_with_what_to_do(tmp_path: Path) -> None:
     text = "".join(Page(report_page(Result.read(finished_run(tmp_path)))).words)
-    assert "Plan on 2.1 m horizontally and 3.8 m in height" in text
-    assert "No place is believed: no wall fits." in text
-    assert text.count("What to do.") == 3
+    assert "Expected accuracy (90 %): 2.1 m horizontal (CE90), 3.8 m vertical (LE90)." in text
+    assert "Refused: no wall fits." in text
+    assert text.count("Remedy.") == 3
     assert "Nothing was reconstructed: no two photos agree" in text
 
 
 def test_a_run_without_any_place_is_told_too(tmp_path: Path) -> None:
     page = Page(report_page(Result.read(finished_run(tmp_path, registered=False))))
-    assert "narrower range of flying heights" in "".join(page.words)
+    text = "".join(page.words)
+    assert KINDS["competing_score"].remedy in text and KINDS["competing_score"].meaning in text
+    assert "110.5" in text
     assert {"map", "components"} <= page.ids
     assert not page.ids & {"swipe", "heights"}
 

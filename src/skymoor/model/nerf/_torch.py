@@ -8,17 +8,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import torch
 
-from skymoor.errors import BackendUnavailable
-
 Precision = AbstractContextManager[object]
-
-
-def choose_device(name: str) -> torch.device:
-    """`auto` takes CUDA where there is one. Raises `BackendUnavailable` when CUDA is asked for and missing."""
-    found = torch.cuda.is_available()
-    if name == "cuda" and not found:
-        raise BackendUnavailable("engines.device = cuda, but PyTorch sees no CUDA device: take cpu or auto")
-    return torch.device("cuda" if name == "cuda" or (name == "auto" and found) else "cpu")
 
 
 @contextmanager

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from skymoor.engines.libraries import torch_device
 from skymoor.errors import DegenerateGeometry
-from skymoor.model.nerf._torch import choose_device, torch_threads
+from skymoor.model.nerf._torch import torch_threads
 from skymoor.model.nerf.box import INNER_PER_LEVEL, Box, covered_points, make_box
 from skymoor.model.nerf.exposure import exposure_log_gains
 from skymoor.model.nerf.field import Field
@@ -39,7 +40,7 @@ def build_model(
     checkpoint: Path | None,
 ) -> NerfModel:
     """See `NerfBuilder`."""
-    device = choose_device(builder.device)
+    device = torch.device(torch_device(builder.device))
     with torch_threads(builder.threads):
         return _build(builder, maps, progress, monocular, report, checkpoint, device)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skymoor.engines.libraries import require
 from skymoor.model.nerf.options import NerfOptions
 from skymoor.model.protocol import SceneBuilder
 from skymoor.types import Array32, Component, DepthMap, Progress, no_progress
@@ -19,6 +20,11 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class NerfBuilder(NerfOptions):
     """Builds a `NerfModel`: a radiance field that is supervised by depth maps."""
+
+    def ready(self) -> tuple[Path, ...]:
+        """No files are read; raises `BackendUnavailable` where PyTorch is missing."""
+        require("torch", "nerf")
+        return ()
 
     def __call__(
         self,
@@ -42,7 +48,7 @@ class NerfBuilder(NerfOptions):
 
         Raises:
             DegenerateGeometry: the depth maps hold no common surface, or the training diverged.
-            BackendUnavailable: CUDA is asked for and missing.
+            BackendUnavailable: PyTorch is missing, or CUDA is asked for and missing.
         """
         from skymoor.model.nerf.build import build_model
 

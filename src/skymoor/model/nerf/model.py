@@ -10,8 +10,9 @@ from typing import Literal
 import numpy as np
 import torch
 
+from skymoor.engines.libraries import torch_device
 from skymoor.model.blend import Blend, BlendOptions
-from skymoor.model.nerf._torch import choose_device, torch_threads
+from skymoor.model.nerf._torch import torch_threads
 from skymoor.model.nerf.box import INNER_PER_LEVEL
 from skymoor.model.nerf.field import Field
 from skymoor.model.nerf.options import UncertaintyOptions
@@ -74,7 +75,7 @@ class NerfModel:
 
     def _layers(self, view: View, progress: Progress) -> Layers:
         """What the field shows; it computes where `device` says, and is kept in main memory between machines."""
-        device = choose_device(self.device)
+        device = torch.device(torch_device(self.device))
         return render_layers(self.field.to(device), self.proposal.to(device), view, progress)
 
     def _confidence(self, layers: Layers, agreement: Array32, view: View) -> Array32:
@@ -89,7 +90,7 @@ class NerfModel:
 
     @cached_property
     def _z_buffers(self) -> tuple[Array32, ...]:
-        bins, proposal = self.field.sizes.bins, self.proposal.to(choose_device(self.device))
+        bins, proposal = self.field.sizes.bins, self.proposal.to(torch.device(torch_device(self.device)))
         return tuple(z_buffer(proposal, depth_map.camera, REDUCE, bins) for depth_map in self.maps)
 
 

@@ -4,8 +4,6 @@
 from skymoor.engines.colmap import colmap_from_component as colmap_model
 from skymoor.results.formats._crs import enu_from_map
 from skymoor.results.formats.cameras import (
-    CAMERA_COLUMNS,
-    CameraRow,
     cameras_geojson,
     cameras_table,
     georeference,
@@ -24,8 +22,6 @@ from skymoor.results.formats.pointcloud import pointcloud_las, read_pointcloud
 from skymoor.results.formats.raster import geotiffs
 
 __all__ = [
-    "CAMERA_COLUMNS",
-    "CameraRow",
     "cameras_geojson",
     "cameras_geopackage",
     "cameras_kml",

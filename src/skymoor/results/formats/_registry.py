@@ -155,7 +155,7 @@ def _odm(source: Source, folder: Path) -> str:
     # One project for each set: ODM knows photos by their bare names, which two folders may share.
     marks: dict[str, str] = {row.set: "" for row in source.rows}
     for part, component in source.components():
-        marks[part.set] = marks.get(part.set, "") + odm_gcp_list(component, source.result.frame, part.name)
+        marks[part.image_set] = marks.get(part.image_set, "") + odm_gcp_list(component, source.result.frame, part.name)
     for name, lines in marks.items():
         (folder / name).mkdir()
         own = [row for row in source.rows if row.set == name]

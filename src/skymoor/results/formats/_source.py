@@ -12,8 +12,8 @@ import pycolmap
 
 from skymoor.engines.colmap import component_from_colmap
 from skymoor.errors import InputError
-from skymoor.results.formats.cameras import CameraRow
 from skymoor.results.read import RUN_FIRST, ComponentSummary, Result
+from skymoor.results.tables import CameraRow
 from skymoor.types import Component, Progress, no_progress
 
 
@@ -35,7 +35,7 @@ class Source:
         """Registered components in ENU metres, with the cameras that cameras.csv places in them."""
         for part in self.result.components:
             if part.registered:
-                placed = {row.image for row in self.rows if (row.set, row.component) == (part.set, part.index)}
+                placed = {row.image for row in self.rows if (row.set, row.component) == (part.image_set, part.index)}
                 yield part, _kept(_component(self.result.model(part)), placed)
 
     def product(self, name: str) -> Path:

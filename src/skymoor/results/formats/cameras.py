@@ -4,46 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from skymoor.geo import EnuFrame
 from skymoor.geometry import Similarity
+from skymoor.results.tables import CameraRow
 from skymoor.types import Camera
-
-
-@dataclass(frozen=True)
-class CameraRow:
-    """One line of cameras.csv, columns in this order; everything from `lat` on is None where it is not placed.
-
-    Latitude and longitude in WGS 84 degrees, height above its ellipsoid, and east, north, up of the site in metres;
-    the quaternion is camera-from-ENU; `ce90` and `le90` are predicted metres, and `relative_ce90` and `relative_le90`
-    the same without the error of the reference, which all cameras share.
-    """
-
-    image: str
-    set: str
-    component: int | None
-    status: str
-    lat: float | None = None
-    lon: float | None = None
-    height: float | None = None
-    east: float | None = None
-    north: float | None = None
-    up: float | None = None
-    qw: float | None = None
-    qx: float | None = None
-    qy: float | None = None
-    qz: float | None = None
-    ce90: float | None = None
-    le90: float | None = None
-    relative_ce90: float | None = None
-    relative_le90: float | None = None
-
-
-CAMERA_COLUMNS = tuple(item.name for item in fields(CameraRow))
 
 
 def placed_cameras(
@@ -72,7 +41,7 @@ def unplaced_cameras(set_name: str, component: int | None, images: Iterable[str]
 
 
 def cameras_table(rows: Iterable[CameraRow]) -> list[dict[str, object]]:
-    """Rows as dictionaries with the keys `CAMERA_COLUMNS`, for a csv writer."""
+    """Rows as dictionaries with the keys `results.tables.COLUMNS`, for a csv writer."""
     return [asdict(row) for row in rows]
 
 

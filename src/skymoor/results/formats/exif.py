@@ -11,7 +11,7 @@ from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 from skymoor.errors import InputError
-from skymoor.results.formats.cameras import CameraRow
+from skymoor.results.tables import CameraRow
 
 EXIF, XMP = b"Exif\0\0", b"http://ns.adobe.com/xap/1.0/\0"
 APP1, SOS, LARGEST = 0xE1, 0xDA, 65533
@@ -32,7 +32,9 @@ def photo_with_position(jpeg: bytes, row: CameraRow, name: str) -> bytes:
         segments = [_segment(_exif_bytes(exif)), _segment(XMP + position_xmp(row).encode())]
         return jpeg[:2] + b"".join(segments) + _without_metadata(jpeg)
     except (OSError, ValueError, IndexError, struct.error, SyntaxError) as error:
-        raise InputError(f"{name}: its EXIF cannot be rewritten ({error}); export without exif, or mend it") from error
+        raise InputError(
+            f"{name}: its EXIF cannot be rewritten ({error}); export without exif, or repair the file"
+        ) from error
 
 
 def gps_tags(row: CameraRow) -> dict[int, object]:

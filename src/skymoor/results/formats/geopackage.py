@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pyproj import CRS
 from pyproj.enums import WktVersion
 
-from skymoor.results.formats.cameras import CameraRow
+from skymoor.results.tables import CameraRow
 
 APPLICATION_ID, VERSION = 0x47504B47, 10300  # "GPKG", 1.3
 SRS = 4979

@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 
 from numpy.typing import ArrayLike
 
-from skymoor.results.formats.cameras import CameraRow
+from skymoor.results.tables import CameraRow
 
 KML = "http://www.opengis.net/kml/2.2"
 ABSOLUTE = "Altitudes are metres above the EGM96 geoid, as KML wants them."

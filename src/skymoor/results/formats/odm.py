@@ -9,7 +9,7 @@ import numpy as np
 
 from skymoor.errors import InputError
 from skymoor.geo import EnuFrame
-from skymoor.results.formats.cameras import CameraRow
+from skymoor.results.tables import CameraRow
 from skymoor.types import Component
 
 HEADER = "EPSG:4326"

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page says, gathered from a run's folder; how it looks is the template's business."""
+"""The content of the report, gathered from the folder of a run; the template lays it out."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 from jinja2 import BaseLoader, Environment
 from markupsafe import Markup
 
+from skymoor.registration.criteria import remedy_of
 from skymoor.results.mosaic import Mosaic, mosaic_of
 from skymoor.results.read import ComponentSummary, Result
 from skymoor.results.report import words
@@ -21,27 +22,27 @@ from skymoor.results.report.figures import histogram
 from skymoor.results.report.images import data_uri, difference_uri, file_uri
 
 COLOURS = 6  # of components on the map; the style has as many
-PICTURES_FOR = 6  # components with pictures: a page of many hundred small ones must stay one that opens
-PICTURES = (
+MAX_ILLUSTRATED = 6  # components with figures: a page of many hundred small components must still open
+FIGURES = (
     ("renders", "nadir_rgb", "From above", "The model rendered from above"),
     ("renders", "nadir_height", "Heights", "Heights of the model, dark low and bright high"),
-    ("renders", "nadir_confidence", "Confidence", "How far each part of the model can be believed, bright is sure"),
-    ("matches", "overlay", "Checkerboard", "Registered model and reference in alternate fields: roads must run on"),
+    ("renders", "nadir_confidence", "Confidence", "Confidence of the model's heights, bright is high"),
+    ("matches", "overlay", "Checkerboard", "Registered model and reference in alternate squares: roads must continue"),
     (
         "matches",
         "residuals",
         "Residuals",
-        "What the transform leaves, arrows 50 times enlarged, red too high, blue too low",
+        "Residuals of the inliers, arrows enlarged 50 times, red too high, blue too low",
     ),
-    ("matches", "matches", "Matches", "Render and reference with lines between matches, green where they agree"),
-    ("matches", "walls", "Walls", "The same walls by photos from the ground, from the air, and in checkerboard"),
+    ("matches", "matches", "Matches", "Render and reference with lines between matches, inliers in green"),
+    ("matches", "walls", "Walls", "The same walls from ground photos, from airborne photos, and in alternate squares"),
 )
 WIDE, HALF = {"matches", "walls"}, {"overlay", "residuals"}
 SIDES_PX = {"third": 700, "half": 1000, "wide": 1400}
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class Figure:
     """A figure of the page."""
 
     uri: str
@@ -52,14 +53,15 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A component as the page tells it."""
+    """A component as the page shows it."""
 
     component: ComponentSummary
     colour: int
     verdict: str
-    advice: str
+    remedy: str
     facts: list[tuple[str, str]]
-    pictures: list[Picture] = field(default_factory=list)
+    criteria: list[dict[str, Any]]
+    figures: list[Figure] = field(default_factory=list)
     residuals: list[Markup] = field(default_factory=list)
 
 
@@ -72,7 +74,8 @@ def report_page(result: Result) -> str:
         summary=result.summary,
         parts=parts,
         lost=[one for one in result.summary["sets"] if not one["components"]],
-        lost_advice=words.LOST_ADVICE,
+        lost_remedy=words.LOST_REMEDY,
+        glossary=words.GLOSSARY,
         evaluation=_evaluation(result.folder),
         mosaic=mosaic,
         map=_map(result, mosaic),
@@ -88,20 +91,21 @@ def report_page(result: Result) -> str:
 
 
 def _part(result: Result, component: ComponentSummary, position: int) -> Part:
-    told = (position % COLOURS, words.verdict(component), words.advice(component), words.facts(component))
-    if position >= PICTURES_FOR:
-        return Part(component, *told)
-    pictures = []
-    for kind, name, title, alt in PICTURES:
+    texts = (words.verdict(component), remedy_of(component.summary), words.facts(component), words.criteria(component))
+    part = Part(component, position % COLOURS, *texts)
+    if position >= MAX_ILLUSTRATED:
+        return part
+    figures = []
+    for kind, name, title, alt in FIGURES:
         size = "wide" if name in WIDE else "half" if name in HALF else "third"
         uri = file_uri(result.folder / kind / f"{component.name}_{name}.png", SIDES_PX[size])
         if uri is not None:
-            pictures.append(Picture(uri, title, f"{alt} ({component.name})", size))
-    return Part(component, *told, pictures, _residuals(result, component))
+            figures.append(Figure(uri, title, f"{alt} ({component.name})", size))
+    return replace(part, figures=figures, residuals=_residuals(result, component))
 
 
 def _residuals(result: Result, component: ComponentSummary) -> list[Markup]:
-    """Histograms of east, north and up at the matches that agree."""
+    """Histograms of the inliers' residuals east, north and up."""
     metres = result.residuals(component)
     return [] if metres is None else [histogram(metres[:, k], name) for k, name in enumerate(("East", "North", "Up"))]
 

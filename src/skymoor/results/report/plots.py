@@ -13,9 +13,9 @@ import numpy as np
 
 from skymoor.engines.libraries import require
 from skymoor.errors import InputError
-from skymoor.results.formats import CameraRow
 from skymoor.results.mosaic import Mosaic, mosaic_of
 from skymoor.results.read import Result
+from skymoor.results.tables import CameraRow
 
 AXES = ("east", "north", "up")
 FAINT, SOLID = 110, 255  # the reference, and the model that lies on it

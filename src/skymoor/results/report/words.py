@@ -1,59 +1,65 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a component's figures mean, in words for the person who has to decide."""
+"""A component's figures in words, for the person who has to decide."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from skymoor.registration.criteria import criteria_of, kind_of
 from skymoor.results.read import ComponentSummary
 
 NONE, MINUS = "\N{EN DASH}", "\N{MINUS SIGN}"
-GROUND_ADVICE = (
-    "Take photos that show the same walls as the airborne ones, and more of them that overlap; "
-    "the picture of the walls below shows what was compared."
-)
-TWIN_ADVICE = (
-    "Compare the candidate places below. A smaller reference around the site, or a narrower range of flying heights "
-    "(match.min_height_m, match.max_height_m), leaves out the wrong ones."
-)
-AIRBORNE_ADVICE = (
-    "See whether the reference shows this place at all, and looks like the photos; then narrow the flying heights "
-    "(match.min_height_m, match.max_height_m), or take more photos with more overlap."
-)
-HEIGHT_ADVICE = (
-    "See whether the DSM belongs to this orthophoto and its vertical datum is right; "
-    "where the site has changed since, take a newer reference."
-)
-LOST_ADVICE = "Photos must overlap by more than half: add the ones between, and leave out blurred ones."
+LOST_REMEDY = "Neighbouring photos must overlap by more than half: add photos between them, and leave out blurred ones."
+GLOSSARY = {
+    "CE90": "Circular error: 90 % of horizontal errors are smaller, in metres.",
+    "LE90": "Linear error: 90 % of vertical errors are smaller, in metres.",
+    "relative CE90 and LE90": "The same without the error of the reference, which all cameras of a run share.",
+    "component": "Photos that structure from motion joined to one model; photos without enough overlap form several.",
+    "registered": "The component has a position on Earth that passed all acceptance criteria.",
+    "refused": "No position was accepted, and none is written; the status is NOT_REGISTERED.",
+    "hypothesis": "A position, azimuth and scale that was considered for a component.",
+    "match score": "Agreement of the model seen from above with the reference, in standard deviations of noise.",
+    "decoy": "A mirrored or shuffled render, which matches nowhere: its best score shows what coincidence reaches.",
+    "false-alarm probability": "How likely one more decoy would score as high as the hypothesis.",
+    "inliers": "Matches that agree with the transform within a limit; the inlier ratio is their share.",
+    "residual": "What remains between a match of the model and of the reference after the transform.",
+    "contrast": "How far ground photos agree better with the walls at the hypothesis than a few metres aside.",
+    "DSM": "Digital surface model: heights of the ground with buildings and trees.",
+    "ellipsoidal height": "Height above the WGS 84 ellipsoid, tens of metres from the height above sea level.",
+}
+"""Terms of the report; docs/glossary.md explains more."""
 
 
 def verdict(component: ComponentSummary) -> str:
-    """The accuracy one can plan on, or why there is none."""
+    """The expected accuracy, or why the component was refused."""
     if not component.registered:
-        reason = component.reason or "no reason was given"
-        return f"No place is believed: {reason}."
+        return f"Refused: {component.reason or 'no reason was given'}."
     if component.ce90_m is None or component.le90_m is None:
-        return "Its place is known; this run did not predict how well."
-    words = f"Plan on {component.ce90_m:.1f} m horizontally and {component.le90_m:.1f} m in height, nine times of ten."
+        return "Registered; this run did not predict an accuracy."
+    words = f"Expected accuracy (90 %): {component.ce90_m:.1f} m horizontal (CE90), "
+    words += f"{component.le90_m:.1f} m vertical (LE90)."
     relative = component.summary.get("predicted_relative_ce90_m"), component.summary.get("predicted_relative_le90_m")
     if None not in relative:
         words += (
-            f" Without the reference's own error, which all its cameras share, "
-            f"it is {relative[0]:.2f} m and {relative[1]:.2f} m."
+            f" Without the error of the reference, which all its cameras share: {relative[0]:.2f} m and "
+            f"{relative[1]:.2f} m."
         )
     return words
 
 
-def advice(component: ComponentSummary) -> str:
-    """What to do about a component without a place; empty for one that has it."""
-    if component.registered:
-        return ""
-    if component.set != "airborne":
-        return GROUND_ADVICE
-    if "another place" in component.reason:
-        return TWIN_ADVICE
-    return HEIGHT_ADVICE if "heights do not" in component.reason else AIRBORNE_ADVICE
+def criteria(component: ComponentSummary) -> list[dict[str, Any]]:
+    """All acceptance criteria of a component, as texts: name, value, limit and meaning, and whether it `passed`."""
+    return [
+        {
+            "name": kind_of(one.kind).name,
+            "value": kind_of(one.kind).written(one.value),
+            "limit": kind_of(one.kind).written_limit(one.limit),
+            "meaning": kind_of(one.kind).meaning,
+            "passed": one.passed,
+        }
+        for one in criteria_of(component.summary)
+    ]
 
 
 def flattened(tree: object, name: str = "") -> Iterator[tuple[str, object]]:
@@ -85,12 +91,10 @@ def duration(seconds: float) -> str:
 def facts(component: ComponentSummary) -> list[tuple[str, str]]:
     """The figures behind the verdict, each with its name."""
     one: Mapping[str, Any] = component.summary
-    told = [
+    return [
         ("cameras", str(one.get("n_cameras", NONE))),
-        ("matches that agree", f"{one.get('n_inliers', NONE)} of {one.get('n_matches', NONE)}"),
-        ("misfit (RMSE)", f"{number(one.get('rmse_m'))} m"),
-        ("reprojection", f"{number(one.get('reprojection_px'))} px"),
+        ("inliers", f"{one.get('n_inliers', NONE)} of {one.get('n_matches', NONE)} matches"),
+        ("RMSE of inliers", f"{number(one.get('rmse_m'))} m"),
+        ("reprojection error", f"{number(one.get('reprojection_px'))} px"),
         ("tilt", f"{number(one.get('tilt_deg'))}°"),
     ]
-    chance = (one.get("diagnostics") or {}).get("false_alarm_probability")
-    return told if chance is None else [*told, ("probability of chance", f"{chance:.2g}")]

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from skymoor.errors import InputError
 from skymoor.geo import Grid
-from skymoor.results.formats import CameraRow, read_pointcloud
+from skymoor.results.formats import read_pointcloud
 from skymoor.results.mosaic import mosaic_of
 from skymoor.results.read import ComponentSummary, Result
+from skymoor.results.tables import CameraRow
 from skymoor.types import Array, Array32, Image
 
 MAX_POINTS = 400_000
@@ -126,7 +127,7 @@ def _frustums(
     for row in result.cameras:
         turn = (row.qw, row.qx, row.qy, row.qz)
         place = (row.east, row.north, row.up)
-        if (row.set, row.component) != (component.set, component.index) or None in (*turn, *place):
+        if (row.set, row.component) != (component.image_set, component.index) or None in (*turn, *place):
             continue
         lens = lenses.get(row.image)
         fov = FOV_RAD if lens is None else 2 * atan(0.5 * lens.height / lens.focal_length_y)
