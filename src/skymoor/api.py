@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""skymoor for notebooks and scripts: the whole job, and its steps one by one. The command line stands on it."""
+"""skymoor for notebooks and scripts: the whole job, and its steps one by one. The command line calls it."""
 
 from __future__ import annotations
 
@@ -79,14 +79,14 @@ def register(
         options: by dotted names or nested, such as {"match.max_height_m": 150}; they overrule those of the site.
         seed: makes a run repeatable.
         progress: called with the name of a stage, steps done and in all, and now and then a line: progress("search",
-            3, 40). `note` is told in one line of anything odd.
+            3, 40). `note` is called with one line for each irregularity.
 
     Returns:
         The result, also where a component is refused: `Result.registered` and the reasons of its components say so.
 
     Raises:
         InputError: data or options are wrong; one line names the file and the remedy.
-        BackendUnavailable: an optional engine was asked for that is not installed, or whose weights are not here.
+        BackendUnavailable: an optional engine was chosen that is not installed, or whose weights are not here.
     """
     reference: dict[str, Any] = {"ortho": ortho, "dsm": dsm, "vertical_datum": vertical_datum}
     loaded = site_of(site, airborne=airborne, ground=ground, **reference, ce90=ce90, le90=le90)
@@ -95,11 +95,11 @@ def register(
     _require_run(loaded, Path(out), seed)
     with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
         jobs = _jobs(loaded, chosen, store, seed, progress, note)
-        placed = [register_airborne(jobs[0])]
-        placed += register_ground_sets(jobs[1:], placed[0])
+        results = [register_airborne(jobs[0])]
+        results += register_ground_sets(jobs[1:], results[0])
         folders = _folders(loaded)
         sets = [
-            SetResult(job.name, at, job.photos.names, one) for job, at, one in zip(jobs, folders, placed, strict=True)
+            SetResult(job.name, at, job.photos.names, one) for job, at, one in zip(jobs, folders, results, strict=True)
         ]
         rasters = (loaded.reference.ortho, loaded.reference.dsm)
         made_from = provenance(rasters, {job.name: job.photos for job in jobs}, weights, store)
@@ -129,14 +129,14 @@ def plan(
 
 @dataclass(frozen=True, eq=False)
 class RasterMatch:
-    """Where one raster lies in another.
+    """The position of one raster in another, and matches.
 
     Attributes:
         b_from_a: (2, 3) affine, a similarity, from pixels of a to pixels of b.
         scale: pixels of b per pixel of a.
         azimuth_deg: by which a is turned clockwise in b, 0 to 360.
-        score: of the search, in standard deviations above chance; `null_scores` are those of decoys.
-        false_alarm_probability: that a raster which lies nowhere in b scores as much.
+        score: of the search, in standard deviations of noise; `null_scores` are those of decoys.
+        false_alarm_probability: of the score: how likely one more decoy reaches it.
         matches: cyclically consistent pixels of a and b.
     """
 
@@ -161,7 +161,7 @@ def match_rasters(
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> RasterMatch:
-    """Find raster `a` in raster `b` at any heading, scale and place, and match the two densely (paper, section 3.2).
+    """Find raster `a` in raster `b` at any azimuth, scale and position, and match the two densely (paper, section 3.2).
 
     Args:
         a, b: colours (h, w, 3), mask, and heights where they are known.
@@ -271,7 +271,7 @@ def _require_run(site: Site, out: Path, seed: int) -> None:
     """What would go wrong later, or would harm the user's own files."""
     if site.airborne is None:
         raise InputError(
-            f"{site.source}: it names no [airborne] images; ground photos are placed on the airborne model"
+            f"{site.source}: it names no [airborne] images; ground photos are registered to the airborne model"
         )
     if not 0 <= seed <= LARGEST_SEED:
         raise InputError(f"--seed {seed}: give a whole number from 0 to {LARGEST_SEED}")
@@ -281,7 +281,7 @@ def _require_run(site: Site, out: Path, seed: int) -> None:
         if inside == where or (inside.is_relative_to(where) and inside.relative_to(where).parts[0] in PRODUCTS):
             raise InputError(f"{path}: lies where the results would be written; give another folder with --out")
     for k, folder in enumerate(folders):
-        # Their photos would have the same names, and nobody could tell whose camera is whose.
+        # Their photos would have the same names, and their cameras could not be told apart.
         prefix = name_prefix(folder, site.root)
         twin = next((other for other in folders[:k] if name_prefix(other, site.root) == prefix), None)
         if twin is not None:

@@ -15,11 +15,11 @@ class TooFewMatches(SkymoorError):
 
 
 class DegenerateGeometry(SkymoorError):
-    """The data do not determine the answer (collinear points, parallel headings, no relief)."""
+    """The data do not determine the answer (collinear points, parallel flight lines, no relief)."""
 
 
 class NotRegistered(SkymoorError):
-    """A model could not be placed, or the hypothesis is not believed (exit status 3)."""
+    """A model could not be registered, or was refused (exit status 3)."""
 
 
 class BackendUnavailable(SkymoorError):

@@ -80,7 +80,7 @@ class Calibration:
 
     `focal_low_ratio` and `focal_high_ratio` bound the focal lengths, relative to the estimate, that explain the
     photos about as well (profile of the bundle adjustment's cost); `uncertain` says that the bounds are too wide for
-    heights to be believed.
+    heights to be used.
     """
 
     shared_intrinsics: bool
@@ -306,8 +306,8 @@ class Criterion:
 class Registration:
     """Where a model is on Earth, or why that is not known.
 
-    `criteria` are all that were asked, in the order in which they take precedence; `reason` is that of the first that
-    failed. A refusal before any was asked has a reason and no criteria.
+    `criteria` are all that were checked, in the order in which they take precedence; `reason` is that of the first that
+    failed. A refusal before any was checked has a reason and no criteria.
     """
 
     registered: bool

@@ -315,7 +315,7 @@ def test_foreign_files_photos_and_the_run_are_left_alone(run: Path, tmp_path: Pa
 def test_each_product_has_a_line_that_counts(run: Path, tmp_path: Path) -> None:
     told: list[str] = []
     export(Result.read(run), ["geojson"], tmp_path, told.append)
-    assert told == [f"{tmp_path / 'geojson'}: 4 cameras, 1 without a place left out"]
+    assert told == [f"{tmp_path / 'geojson'}: 4 cameras, 1 without a position left out"]
 
 
 def test_a_run_without_a_place_or_file_is_told(run: Path, tmp_path: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each command takes; the comments under the fields are its help."""
+"""Arguments of each command; the texts under the fields are their help."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from skymoor.simulate.options import SiteOptions
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """Place a site's photos on the Earth.
+    """Register the photos of a site: positions on Earth with their accuracy.
 
     For example:
 
@@ -27,13 +27,13 @@ class Run:
 
     skymoor run site.toml --out result --set model.kind=nerf --set match.max_height_m=150
 
-    Exit status: 0 all is registered, 3 something is not, 2 the input is wrong, 1 an error of skymoor's.
+    Exit status: 0 everything is registered, 3 something is not, 2 wrong input or usage, 1 an error of skymoor.
     """
 
     site: Annotated[Path | None, tyro.conf.Positional] = None
-    """site.toml; or say --airborne, --ortho and --dsm."""
+    """site.toml; or give --airborne, --ortho and --dsm."""
     out: Path
-    """Folder for the results; the same command again goes on where it stopped."""
+    """Folder for the results; the same command again continues where it stopped."""
     airborne: Path | None = None
     """Folder of airborne photos."""
     ground: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
@@ -41,21 +41,21 @@ class Run:
     ortho: Path | None = None
     """Satellite orthophoto, any CRS that GDAL reads."""
     dsm: Path | None = None
-    """Its surface model, heights in metres."""
+    """Its digital surface model (DSM), heights in metres."""
     vertical_datum: str | None = None
-    """What the DSM's heights refer to: "ellipsoid" or an EPSG code such as "EPSG:3855"."""
+    """Vertical datum of the DSM: "ellipsoid" or an EPSG code such as "EPSG:3855"."""
     ce90: float | None = None
     """Circular error of the reference, 90 percent, metres."""
     le90: float | None = None
     """Linear (vertical) error of the reference, 90 percent, metres."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """An option by its dotted name, for example --set match.cyclic.cycle_px=3; may be repeated."""
+    """An option by its dotted name, for example --set match.max_height_m=150; may be repeated."""
     seed: int = 0
     """Makes a run repeatable."""
     quiet: bool = False
     """Plain lines in place of progress bars."""
     dry_run: bool = False
-    """Check all input and print what would be done, with about how much time and memory; write nothing."""
+    """Check all input and print the steps with estimates of time and memory; write nothing."""
     json: bool = False
     """For scripts: the result as JSON on stdout, all else on stderr."""
 
@@ -77,12 +77,12 @@ class Evaluate:
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write a finished run in the formats of other programs; the photos themselves are never touched."""
+    """Write a finished run in other programs' formats; the photos themselves are never changed."""
 
     run: Annotated[Path, tyro.conf.Positional]
     """Folder of the run."""
     to: Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
-    """Formats, parted by commas: colmap, nerfstudio, laz, cog, geojson, gpkg, kml, ply, gltf, odm, exif, or all."""
+    """Formats, separated by commas: colmap, nerfstudio, laz, cog, geojson, gpkg, kml, ply, gltf, odm, exif, or all."""
     out: Path
     """Folder for the exports; each format gets a folder of its own in it."""
     quiet: bool = False
@@ -91,7 +91,7 @@ class Export:
 
 @dataclass(frozen=True)
 class Report:
-    """Write report.html, the page about a finished run, again."""
+    """Write report.html of a finished run again."""
 
     run: Annotated[Path, tyro.conf.Positional]
     """Folder of the run."""
@@ -99,14 +99,14 @@ class Report:
 
 @dataclass(frozen=True)
 class View:
-    """Look at a finished run in three dimensions: needs skymoor[view]."""
+    """Open a finished run in the 3D viewer: needs skymoor[view]."""
 
     run: Annotated[Path, tyro.conf.Positional]
     """Folder of the run."""
     port: int = 8080
-    """Of the viewer on this machine; the next free one is taken if it is not free."""
+    """Port of the viewer on this machine; if it is taken, the next free one."""
     open: bool = True
-    """Open the browser; --no-open only says the address."""
+    """Open the browser; --no-open only prints the address."""
 
 
 @dataclass(frozen=True)
@@ -127,13 +127,13 @@ class Schema:
 
 @dataclass(frozen=True, kw_only=True)
 class Simulate:
-    """Make a site with exact truth: photos, orthophoto, DSM, site.toml, truth.csv.
+    """Simulate a site with exact truth: photos, orthophoto, DSM, site.toml, truth.csv.
 
     For example: skymoor simulate --preset industrial --seed 7 --out site
     """
 
     out: Path
-    """Folder for the site; the same command again goes on where it stopped."""
+    """Folder for the site; the same command again continues where it stopped."""
     options: tyro.conf.OmitArgPrefixes[SiteOptions] = field(default_factory=SiteOptions)
     quiet: bool = False
     """Plain lines in place of progress bars."""
@@ -141,27 +141,27 @@ class Simulate:
 
 @dataclass(frozen=True, kw_only=True)
 class Demo:
-    """Simulate a small site, place its photos on the Earth, and compare with the truth."""
+    """Simulate a small site, register its photos, and compare with the truth."""
 
     out: Path = Path("skymoor-demo")
-    """Folder for the site and the results; a second run shows the results at once."""
+    """Folder for the site and the results; a second run reuses them."""
     quiet: bool = False
     """Plain lines in place of progress bars."""
 
 
 @dataclass(frozen=True)
 class Doctor:
-    """Look whether this machine has what runs need: versions, GPU, memory, disk, weights."""
+    """Check whether this machine has what runs need: versions, GPU, memory, disk, weights."""
 
     out: Path = Path()
-    """Where results are going to be written."""
+    """Folder where results will be written."""
     json: bool = False
     """For scripts: as JSON on stdout."""
 
 
 @dataclass(frozen=True)
 class Completion:
-    """Print a script that completes commands and options with the tab key.
+    """Print a shell script that completes commands and options.
 
     For example: skymoor completion bash > ~/.local/share/bash-completion/completions/skymoor
     """
@@ -171,7 +171,7 @@ class Completion:
 
 @dataclass(frozen=True)
 class WeightsList:
-    """Show the pretrained weights that are known, their licences, and which of them are here."""
+    """List pretrained weights, their licences, and which are installed."""
 
     json: bool = False
     """For scripts: as JSON on stdout."""
@@ -187,14 +187,14 @@ class WeightsFetch:
     name: Annotated[str, tyro.conf.Positional]
     """As in the list."""
     to: Path | None = None
-    """Folder of all weights: $SKYMOOR_WEIGHTS or the user's folder of data unless said."""
+    """Folder of all weights; $SKYMOOR_WEIGHTS or the user's data folder by default."""
     quiet: bool = False
     """Plain lines in place of progress bars."""
 
 
 @dataclass(frozen=True)
 class Weights:
-    """Pretrained weights of optional engines; nothing is downloaded unless it is asked for here."""
+    """Pretrained weights of optional engines; nothing is downloaded by any other command."""
 
     action: (
         Annotated[WeightsList, tyro.conf.subcommand("list", prefix_name=False)]

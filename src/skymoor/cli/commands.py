@@ -191,4 +191,4 @@ def schema() -> None:
     from skymoor.pipeline.site_schema import site_schema
 
     with Screen(plain=True, for_scripts=True) as screen:
-        screen.answer(site_schema())
+        screen.answer(site_schema(), indent=2)

@@ -112,5 +112,5 @@ def _disks(folder: Path) -> Iterator[Check]:
 def _weights() -> Iterator[Check]:
     root = weights_folder()
     here = [one.name for one in KNOWN if all(one.here(root))]
-    hint = "none is needed; skymoor weights list says what there is, skymoor weights fetch NAME brings it"
+    hint = "none is needed; skymoor weights list shows them, skymoor weights fetch NAME downloads one"
     yield Check(f"weights in {root}", ", ".join(here) or "-", "" if here else hint, needed=False)

@@ -54,7 +54,7 @@ _Command: Any = tyro.conf.OmitArgPrefixes[  # type: ignore[misc]
     reduce(or_, (Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items()))
 ]
 DESCRIPTION = """skymoor moors floating 3D models to the Earth: photos without metadata, an orthophoto and its DSM go
-in, and every camera and model gets its place, with an accuracy, or a reason why not.
+in, and every camera and model gets a position on Earth with its accuracy, or the reason why it has none.
 
 Begin with: skymoor doctor, then skymoor demo, then skymoor run site.toml --out result. Each command explains itself:
 skymoor run --help."""
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = _done(chosen)
         sys.stdout.flush()
         return status
-    except (InputError, BackendUnavailable) as error:  # an engine that is not here was asked for
+    except (InputError, BackendUnavailable) as error:  # such as a chosen engine that is not installed
         _tell(error)
         return EXIT_USAGE
     except SkymoorError as error:

@@ -25,7 +25,7 @@ class Screen:
     """Shows progress: bars on a terminal, one line per finished stage elsewhere."""
 
     def __init__(self, *, plain: bool = False, for_scripts: bool = False) -> None:
-        """`plain` for lines in place of bars; `for_scripts` sends all but what `answer` says to stderr."""
+        """`plain` for lines in place of bars; `for_scripts` sends all but the JSON of `answer` to stderr."""
         stream = sys.stderr if for_scripts else sys.stdout
         self._console = Console(file=stream, width=None if stream.isatty() else 160, highlight=False)
         self._for_scripts = for_scripts
@@ -83,10 +83,10 @@ class Screen:
         """A table."""
         self._console.print(table)
 
-    def answer(self, value: object) -> None:
+    def answer(self, value: object, *, indent: int | None = None) -> None:
         """JSON on stdout, where there are scripts to read it."""
         if self._for_scripts:
-            sys.stdout.write(json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n")
+            sys.stdout.write(json.dumps(plain(value), ensure_ascii=False, allow_nan=False, indent=indent) + "\n")
 
 
 @dataclass
@@ -94,13 +94,13 @@ class _Lines:
     name: str
     console: Console
     start: float | None = None
-    told: float = 0.0
+    noted: float = 0.0
 
     def __call__(self, done: int, total: int, note: str = "", /) -> None:
         now = time.monotonic()
         self.start = self.start or now
         if done >= total:
             self.console.print(f"{self.name}: {total} done in {now - self.start:.0f} s", markup=False)
-        elif note and now - (self.told or self.start) > NOTE_S:
-            self.told = now
+        elif note and now - (self.noted or self.start) > NOTE_S:
+            self.noted = now
             self.console.print(f"{self.name}: {note}", markup=False)

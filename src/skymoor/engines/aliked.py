@@ -30,8 +30,8 @@ class AlikedFeatures:
     Attributes:
         weights: path of aliked-n16rot.pth; empty for where `skymoor weights fetch aliked` puts it.
         device: "auto", "cpu" or "cuda".
-        max_keypoints: the surest so many of each picture.
-        side_px: larger pictures are reduced to this long side.
+        max_keypoints: per image, those of the highest scores.
+        side_px: larger images are reduced to this long side.
     """
 
     weights: str = ""
@@ -45,7 +45,7 @@ class AlikedFeatures:
         return (find("aliked", "aliked-n16rot.pth", self.weights),)
 
     def __call__(self, image: Image) -> tuple[Array, torch.Tensor]:
-        """Pixels (n, 2) of a picture (h, w, 3), the surest first, and descriptions (n, 128) of length 1.
+        """Pixels (n, 2) of an image (h, w, 3), the highest scores first, and descriptions (n, 128) of length 1.
 
         Raises:
             BackendUnavailable: kornia or the weights are missing.
@@ -55,9 +55,9 @@ class AlikedFeatures:
 
         device = torch_device(self.device)
         network = _network(*self.ready(), device, self.max_keypoints)
-        picture, scale = fitted(image, self.side_px, 1)
+        reduced, scale = fitted(image, self.side_px, 1)
         with torch.inference_mode():
-            found = network(as_tensor(picture, device))[0]
+            found = network(as_tensor(reduced, device))[0]
         # kornia counts from the centre of the first pixel.
         return (found.keypoints.cpu().numpy().astype(np.float64) + 0.5) * scale, found.descriptors
 

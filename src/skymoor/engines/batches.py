@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many pairs of pictures for one matcher: together where it can do that."""
+"""Many pairs of images for one matcher: together where it can do that."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def intrinsics_of(camera: pycolmap.Camera) -> Intrinsics:
 
 
 def component_from_colmap(reconstruction: pycolmap.Reconstruction, read_name: Mapping[str, str]) -> Component:
-    """Freeze a COLMAP reconstruction; `read_name` maps its image names to ours. Colours are left black."""
+    """Freeze a COLMAP reconstruction; `read_name` maps its image names to photos. Colours are left black."""
     image_ids = sorted(reconstruction.reg_image_ids())
     point_ids = sorted(reconstruction.point3D_ids())
     index_of_point = {point_id: k for k, point_id in enumerate(point_ids)}

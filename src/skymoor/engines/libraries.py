@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Libraries and devices that not every installation has: asked for when an engine is called, never at import."""
+"""Libraries and devices that not every installation has: imported when an engine is called, never before."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ Array32 = NDArray[np.float32]
 
 
 def open3d() -> ModuleType:
-    """Import Open3D; its wheel wants a libusb that few machines have, so ours comes from a package."""
+    """Import Open3D; its wheel needs libusb, which few machines have: it is taken from a package."""
     try:
         import libusb_package
 
@@ -48,7 +48,7 @@ class RayCaster:
     def hits(
         self, origins: Array32, directions: Array32
     ) -> tuple[Array32, NDArray[np.int32], Array32, NDArray[np.float32]]:
-        """Distance (...,), triangle (...,) or -1, place in it (..., 2) barycentric, and its unit normal (..., 3)."""
+        """Distance (...,), triangle (...,) or -1, barycentric position in it (..., 2), and its unit normal (..., 3)."""
         found = self._cast(origins, directions)
         # What Open3D calls invalid is the largest unsigned number, which is -1.
         triangle = found["primitive_ids"].numpy().view(np.int32)

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def fitted(rgb: Image, side_px: int, multiple: int) -> tuple[Image, Array]:
-    """A picture stretched so that its sides are multiples and at most about `side_px`; never enlarged by more.
+    """An image stretched so that its sides are multiples and at most about `side_px`; never enlarged by more.
 
     Returns:
-        the picture (h, w, 3), and by how much (2,) its pixels are multiplied to be those of the given one.
+        the image (h, w, 3), and by how much (2,) its pixels are multiplied to be those of the given one.
     """
     h, w = rgb.shape[:2]
     ratio = min(1.0, side_px / max(h, w))
@@ -30,9 +30,9 @@ def fitted(rgb: Image, side_px: int, multiple: int) -> tuple[Image, Array]:
     return np.asarray(small, np.uint8), np.array([w, h]) / size
 
 
-def as_tensor(picture: Image, device: str) -> torch.Tensor:
-    """(1, channels, h, w) in [0, 1] of a picture (h, w, channels) or (h, w)."""
+def as_tensor(image: Image, device: str) -> torch.Tensor:
+    """(1, channels, h, w) in [0, 1] of an image (h, w, channels) or (h, w)."""
     import torch
 
-    channels = picture[..., None] if picture.ndim == 2 else picture
+    channels = image[..., None] if image.ndim == 2 else image
     return torch.from_numpy(np.ascontiguousarray(channels)).permute(2, 0, 1)[None].to(device).float() / 255

@@ -61,7 +61,7 @@ class Engines:
     Attributes:
         device: of all learned engines; "auto" takes CUDA where there is one.
         sift, aliked, dedode, colmap_aliked: features of photos; ALIKED also matches the render with the reference.
-        conflicts, doppelgangers: find pairs of photos of different places that look alike.
+        conflicts, doppelgangers: find pairs of photos of different but similar structures.
         structural, loftr, tiny_roma, roma, romav2: match the render with the reference, or photos with tiles.
         channels, anyloc: say which tiles a ground photo may show.
         sgm, patchmatch: dense stereo.

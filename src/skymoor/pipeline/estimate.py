@@ -49,13 +49,18 @@ def estimate_run(
         Step("reconstruct", f"{n} photos by {options.reconstruct.matcher}", *_mapping(airborne, options, "air")),
         Step("depths", f"depth maps by {options.densify.method}; what photos say of each other", 0.7 * n, depths + 600),
         Step("model", f"{options.model.kind} and its view from above", model + 0.3 * n, 2 * depths + 600),
-        Step("search", "every heading, scale and place in the orthophoto", search, searched),
+        Step("search", "every azimuth, scale and position in the orthophoto", search, searched),
         Step("decoys", "the same for decoys", 3 * search, searched),
-        Step("register", f"match by {match.matcher}, place, judge", 5 + 2 * match.candidates * dense, searched),
+        Step(
+            "register",
+            f"match by {match.matcher}, estimate the transform, accept or refuse",
+            5 + 2 * match.candidates * dense,
+            searched,
+        ),
     ]
     for k, photos in enumerate(ground):
         steps += _ground(f"ground{k}", photos, options)
-    return [*steps, Step("products", "tables, models, pictures, report", 10 + 0.1 * n, searched)]
+    return [*steps, Step("products", "tables, models, figures, report", 10 + 0.1 * n, searched)]
 
 
 def _ground(name: str, photos: Sequence[Size], options: Options) -> list[Step]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The method for ground photos on one page (paper, section 3.4): each component is laid on the airborne model."""
+"""The method for ground photos on one page (paper, section 3.4): each component is registered to the airborne model."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CASCADE, EXHAUSTIVE = CascadeOptions().consensus, ConsensusOptions()
 
 @dataclass(frozen=True, eq=False)
 class _Airborne:
-    """What ground components are laid on: the largest airborne component, the walls of all, and renders of it."""
+    """The target of ground components: the largest airborne component, the walls of all, and renders of it."""
 
     base: ComponentResult
     walls: AirborneWalls | None
@@ -36,7 +36,7 @@ class _Airborne:
 
 
 def register_ground_sets(jobs: Sequence[Job], airborne: Sequence[ComponentResult]) -> list[list[ComponentResult]]:
-    """Every component of every set of ground photos, placed on the airborne model or refused (paper, section 3.4)."""
+    """Every component of every set of ground photos, registered to the airborne model or refused (section 3.4)."""
     if not jobs:
         return []
     ready = _airborne([item for item in airborne if item.registration.registered], jobs[0])
@@ -53,10 +53,10 @@ def register_ground_sets(jobs: Sequence[Job], airborne: Sequence[ComponentResult
         "ground components together",
     )
     decided = dict(zip(names, found, strict=True))
-    places = {item.name: _hypotheses(item, answers) for item, answers in searched}
-    levelled = [(n, replace(item, hypotheses=places.get(item.name, []))) for n, item in levelled]
-    placed = [(n, _check_or_refuse(item, decided.get(item.name), ready, jobs[n])) for n, item in levelled]
-    return [[item for n, item in placed if n == number] for number in range(len(jobs))]
+    on_map = {item.name: _on_map(item, answers) for item, answers in searched}
+    levelled = [(n, replace(item, hypotheses=on_map.get(item.name, []))) for n, item in levelled]
+    results = [(n, _check_or_refuse(item, decided.get(item.name), ready, jobs[n])) for n, item in levelled]
+    return [[item for n, item in results if n == number] for number in range(len(jobs))]
 
 
 def _level_or_refuse(name: str, component: Component, airborne: _Airborne | None, job: Job) -> ComponentResult:
@@ -77,32 +77,32 @@ def _check_or_refuse(
     item: ComponentResult, found: Registration | None, airborne: _Airborne | None, job: Job
 ) -> ComponentResult:
     return or_else(
-        lambda: _heard(item, found, airborne, job),
+        lambda: _checked(item, found, airborne, job),
         lambda reason: replace(item, registration=refused(item.name, item.component, reason).registration),
         item.name,
     )
 
 
-def _hypotheses(item: ComponentResult, answers: Hypotheses) -> list[MapHypothesis]:
-    """Where a component may stand, believed or not."""
-    told, middle = [], np.median([camera.centre for camera in item.component.cameras], axis=0)
+def _on_map(item: ComponentResult, answers: Hypotheses) -> list[MapHypothesis]:
+    """All hypotheses of a component, accepted or not."""
+    found, middle = [], np.median([camera.centre for camera in item.component.cameras], axis=0)
     for place, evidence in zip(answers.places, answers.evidence, strict=True):
         east, north, _ = place.apply(middle[None])[0].tolist()
         azimuth_deg = -np.degrees(np.arctan2(place.rotation[1, 0], place.rotation[0, 0])) % 360
-        told.append(MapHypothesis(evidence, east, north, float(azimuth_deg), place.scale))
-    return told
+        found.append(MapHypothesis(evidence, east, north, float(azimuth_deg), place.scale))
+    return found
 
 
 def _airborne(bases: Sequence[ComponentResult], job: Job) -> _Airborne | None:
     """What is needed of the airborne components; None where no one is registered."""
     if not bases:
         return None
-    # Most photos make the surest ground to stand on.
+    # The component of most photos is the best determined.
     base = max(bases, key=lambda item: len(item.component.cameras))
     renders = [] if job.options.ground.method == "walls" else _renders(base, job)
-    placed = [(base.depths, base.registration.enu_from_level) for base in bases]
+    components = [(base.depths, base.registration.enu_from_level) for base in bases]
     walls = job.store.stage(
-        "walls", walls_of_components, placed, job.options.ground.walls, seed=job.seed, progress=job.track("walls")
+        "walls", walls_of_components, components, job.options.ground.walls, seed=job.seed, progress=job.track("walls")
     )
     return _Airborne(base, walls, renders)
 
@@ -116,11 +116,11 @@ def _renders(base: ComponentResult, job: Job) -> list[Render]:
 
 
 def _level(name: str, component: Component, airborne: _Airborne | None, job: Job) -> ComponentResult:
-    """A ground component upright and with depth, not placed yet; without depth maps if that is as far as it goes."""
+    """A ground component, levelled and with depth maps, not registered yet; without depth maps where a step failed."""
     options, engines = job.options.ground, job.options.engines
     try:
         if airborne is None:
-            raise DegenerateGeometry("no airborne component is registered that it could be laid on")
+            raise DegenerateGeometry("no airborne component is registered that it could be registered to")
         ground = ground_of(name, component, engines.labeler(options.labels), job)
         gravity = estimate_ground_gravity(component, job.photos, ground=ground)
         level_from_sfm = level_from_gravity(component, gravity)
@@ -134,7 +134,7 @@ def _level(name: str, component: Component, airborne: _Airborne | None, job: Job
 
 
 def _metric(item: ComponentResult, job: Job) -> MetricScale | None:
-    """How many metres a unit of a component is, by what single photos say; None where nobody is asked, or can tell."""
+    """Metres per unit of a component by monocular metric depth; None where it is not chosen or not conclusive."""
     engine = job.options.engines.metric_scale(job.options.ground.metric)
     if engine is None:
         return None
@@ -143,7 +143,7 @@ def _metric(item: ComponentResult, job: Job) -> MetricScale | None:
 
 
 def _of_size(options: T, item: ComponentResult) -> T:
-    """Options of a search, without the scales that metric depth denies."""
+    """Options of a search, without the scales that metric depth excludes."""
     if item.metric is None:
         return options
     low, high = item.metric.narrowed(options.min_scale, options.max_scale)
@@ -151,7 +151,7 @@ def _of_size(options: T, item: ComponentResult) -> T:
 
 
 def _search(item: ComponentResult, airborne: _Airborne, job: Job) -> Hypotheses:
-    """Where a component may stand, by the chosen method."""
+    """Hypotheses of a component, by the chosen method."""
     if job.options.ground.method != "walls":
         return _search_tiles(item, airborne, job)
     if airborne.walls is None:
@@ -164,7 +164,7 @@ def _search(item: ComponentResult, airborne: _Airborne, job: Job) -> Hypotheses:
 
 
 def _search_tiles(item: ComponentResult, airborne: _Airborne, job: Job) -> OneHypothesis:
-    """Where the tiles of the airborne model's renders say that a component stands."""
+    """Registration of a component by matches of its photos with tiles of the airborne renders."""
     ground, matcher = job.options.ground, job.options.ground.dense_matcher(job.options.engines)
     common: dict[str, Any] = {
         "enu_from_render": airborne.base.registration.enu_from_level,
@@ -194,8 +194,10 @@ def _consensus(options: ConsensusOptions, item: ComponentResult, airborne: _Airb
     return replace(options, pictures=replace(options.pictures, tile_px=tile_px))
 
 
-def _heard(item: ComponentResult, found: Registration | None, airborne: _Airborne | None, job: Job) -> ComponentResult:
-    """A component with its place, with what each of its cameras says of that, and with a picture."""
+def _checked(
+    item: ComponentResult, found: Registration | None, airborne: _Airborne | None, job: Job
+) -> ComponentResult:
+    """A component with its registration, the pose check of each camera, and a figure of its walls."""
     if found is None or airborne is None:
         return item
     if not found.registered or airborne.walls is None:

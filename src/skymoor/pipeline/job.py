@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the pipeline is given for a set of photos, and what it has found out about each component."""
+"""Input of the pipeline for a set of photos, and its results for each component."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ class Job:
 
 @dataclass(frozen=True)
 class MapHypothesis:
-    """One of the places where a component may be, whether or not it is believed.
+    """One hypothesis of a component on the map, accepted or not.
 
     Attributes:
-        score: what speaks for it; of one component they compare with each other.
-        east, north: where the middle of the airborne render, or of the ground cameras, would be, metres of the site.
-        azimuth_deg: clockwise from the level frame, seen from above, 0 to 360.
+        score: of the search; comparable among hypotheses of one component.
+        east, north: of the centre of the airborne render, or of the ground cameras, ENU metres.
+        azimuth_deg: rotation from the level frame, clockwise seen from above, 0 to 360.
         metres_per_unit: of the level frame.
     """
 
@@ -75,11 +75,11 @@ class MapHypothesis:
 
 @dataclass(frozen=True, eq=False)
 class ComponentResult:
-    """A component and all that was found out about its place. `component` is in the `level` frame.
+    """A component and the results of its registration. `component` is in the `level` frame.
 
-    `name` is that of its stages. Each of its photos may have said whether it agrees with the others (`pose_checks`). A
-    ground component stands on `base`, an airborne one; `walls` shows both; `metric` is its size as single photos say.
-    `hypotheses` are all places that were found, the likeliest first.
+    `name` is that of its stages. `pose_checks` compare each photo with the others. A ground
+    component is registered to `base`, an airborne one; `walls` shows both; `metric` is its scale by monocular depth.
+    `hypotheses` are all that were found, the best first.
     """
 
     name: str
@@ -110,19 +110,19 @@ class ComponentResult:
     @property
     def shape_enu(self) -> Array | None:
         """Covariances (n, 3, 3) m^2 of the centres of `cameras_enu` by the reconstruction alone; None if not known."""
-        placed = self.registration.enu_from_level
-        if placed is None or self.component.centre_covariances is None:
+        enu_from_level = self.registration.enu_from_level
+        if enu_from_level is None or self.component.centre_covariances is None:
             return None
-        turn = placed.scale * placed.rotation
+        turn = enu_from_level.scale * enu_from_level.rotation
         return np.asarray(turn @ self.component.centre_covariances[self._trusted] @ turn.T)
 
     @property
     def component_enu(self) -> Component | None:
         """The component on Earth without cameras that contradict it and what they see; None if it is not registered."""
-        placed = self.registration.enu_from_level
-        if not self.registration.registered or placed is None:
+        enu_from_level = self.registration.enu_from_level
+        if not self.registration.registered or enu_from_level is None:
             return None
-        return self.component.of_cameras(self._trusted).transformed(placed)
+        return self.component.of_cameras(self._trusted).transformed(enu_from_level)
 
     @property
     def _trusted(self) -> Mask:
@@ -131,7 +131,7 @@ class ComponentResult:
 
 
 def refused(name: str, component: Component, reason: str) -> ComponentResult:
-    """A component that has no place, with the reason."""
+    """A component that was refused, with the reason."""
     nothing = Registration(registered=False, reason=reason, enu_from_level=None)
     return ComponentResult(name, component, Similarity.identity(), nothing)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened, in a file: for the person who was not there, and for those who are asked why."""
+"""The log of a run: steps, warnings and tracebacks, for later diagnosis."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FORMAT = "%(asctime)s %(levelname)s %(message)s"
 
 class _File(logging.FileHandler):
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
-        """A full disk is told where results are written; a log that ends early is no reason to stop."""
+        """A full disk is reported where results are written; an incomplete log is no reason to stop."""
 
 
 @contextmanager
@@ -30,9 +30,9 @@ def logged(path: Path, arguments: Sequence[str] | None = None) -> Iterator[None]
     level, passes = LOG.level, LOG.propagate
     LOG.addHandler(handler)
     LOG.setLevel(logging.INFO)
-    LOG.propagate = False  # the screen is told by others
-    told = " ".join(sys.argv if arguments is None else arguments)
-    LOG.info("skymoor %s, Python %s on %s: %s", __version__, platform.python_version(), platform.platform(), told)
+    LOG.propagate = False  # the screen has its own messages
+    command = " ".join(sys.argv if arguments is None else arguments)
+    LOG.info("skymoor %s, Python %s on %s: %s", __version__, platform.python_version(), platform.platform(), command)
     try:
         yield
         LOG.info("done")

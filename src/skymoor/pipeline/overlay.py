@@ -15,20 +15,20 @@ from skymoor.types import Array, Array32, Raster, Reference, Registration, Rende
 def warp_to_reference(
     render: Render, registration: Registration, reference: Reference, min_confidence: float
 ) -> tuple[Raster, Array32]:
-    """The registered nadir render on the reference's grid, and its believed heights, ENU up in metres."""
+    """The registered nadir render on the reference's grid, and its confident heights, ENU up in metres."""
     if registration.enu_from_level is None:
         raise DegenerateGeometry("the model is not registered")
     b_from_a = reference_from_render(render, registration, reference)
     # `lay` keeps heights in pixels: give it metres in pixels of the render, and it returns them in the grid's.
     metres_per_px = registration.enu_from_level.scale * render.view.pixel
     up = registration.enu_from_level.apply(render.xyz.astype(np.float64))[..., 2] / metres_per_px
-    picture = nadir_raster(render, min_confidence)
-    known = picture.height is not None and np.isfinite(picture.height)
-    picture = Raster(picture.rgb, picture.mask, np.where(known, up, np.nan).astype(np.float32))
+    raster = nadir_raster(render, min_confidence)
+    known = raster.height is not None and np.isfinite(raster.height)
+    raster = Raster(raster.rgb, raster.mask, np.where(known, up, np.nan).astype(np.float32))
     height, width = reference.grid.shape
-    laid = lay(picture, b_from_a, (width, height))
-    assert laid.height is not None
-    return laid, np.asarray(laid.height * np.float32(reference.grid.pixel_m), dtype=np.float32)
+    warped = lay(raster, b_from_a, (width, height))
+    assert warped.height is not None
+    return warped, np.asarray(warped.height * np.float32(reference.grid.pixel_m), dtype=np.float32)
 
 
 def reference_from_render(render: Render, registration: Registration, reference: Reference) -> Array:
@@ -38,5 +38,5 @@ def reference_from_render(render: Render, registration: Registration, reference:
     corners = np.array([[0.0, 0.0], [render.view.shape[1], 0.0], [0.0, render.view.shape[0]]])
     view = np.column_stack([[render.view.x0, render.view.y0] + corners * render.view.pixel, np.zeros(3)])
     level = view @ render.view.view_from_level
-    placed = reference.grid.px_from_enu(registration.enu_from_level.apply(level)[:, :2])
-    return np.asarray(cv2.getAffineTransform(corners.astype(np.float32), placed.astype(np.float32)))
+    px = reference.grid.px_from_enu(registration.enu_from_level.apply(level)[:, :2])
+    return np.asarray(cv2.getAffineTransform(corners.astype(np.float32), px.astype(np.float32)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dense matches at the best hypotheses of the search, and the registration that most independent places confirm."""
+"""Dense matches at the best hypotheses of the search, and the registration with most independent inliers."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the nadir render lies in the reference, at any heading and at any of the flying heights that are searched."""
+"""Search of the nadir render in the reference, at any azimuth and at any of the flying heights in question."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def search_reference(
     *,
     progress: Progress = no_progress,
 ) -> list[ImageHypothesis]:
-    """Hypotheses of the render's place, best first; an empty list where the reference is too small at every height.
+    """Hypotheses of position, azimuth and scale, best first; empty where the reference is too small at every height.
 
     `heights_m` are the least and the largest metres per unit of the level frame, which is the flying height.
     """

@@ -87,7 +87,7 @@ def load_site(
         source=where,
     )
     if site.airborne is None and not site.ground:
-        raise InputError(f"{where}: there are no images to place; add [airborne] with images = FOLDER")
+        raise InputError(f"{where}: there are no images; add [airborne] with images = FOLDER")
     return site
 
 
@@ -106,7 +106,7 @@ def site_from_arguments(
     """
     folders = [folder for folder in (airborne, *ground) if folder is not None]
     if not folders:
-        raise InputError("there are no images to place; give --airborne FOLDER")
+        raise InputError("there are no images; give --airborne FOLDER")
     for path, flag in ((ortho, "--ortho"), (dsm, "--dsm")):
         if not _is_there(path):
             raise InputError(f"{flag} {path}: there is no such file")
@@ -145,8 +145,8 @@ def _table(value: object, where: str, key: str) -> dict[str, object]:
 def _no_others(table: Mapping[str, object], known: Sequence[str], where: str, group: str) -> None:
     for key in table:
         if key not in known:
-            place = f" in [{group}]" if group else ""
-            raise InputError(f"{where}: unknown key {key}{place}; {nearest(key, known)}")
+            inside = f" in [{group}]" if group else ""
+            raise InputError(f"{where}: unknown key {key}{inside}; {nearest(key, known)}")
 
 
 def _text(value: object, where: str, key: str) -> str:

@@ -50,14 +50,14 @@ def _table(properties: dict[str, Any], *, required: list[str] | None = None) -> 
 
 
 def _options(config: Any) -> dict[str, Any]:
-    hints, told = get_type_hints(type(config)), descriptions_of(type(config))
+    hints, described = get_type_hints(type(config)), descriptions_of(type(config))
     properties: dict[str, Any] = {}
     for item in option_fields(config):
         value = getattr(config, item.name)
         if is_dataclass(value):
             properties[item.name] = _options(value)
         else:
-            about = {"description": told[item.name]} if item.name in told else {}
+            about = {"description": described[item.name]} if item.name in described else {}
             properties[item.name] = {**_kind(hints[item.name]), "default": value, **about}
     return _table(properties)
 

@@ -29,7 +29,7 @@ def export(
     note: Callable[[str], None],
     track: Callable[[str], Progress] = lambda _: no_progress,
 ) -> None:
-    """Write each format into its folder below `out`; `note` is told one line of each.
+    """Write each format into its folder below `out`; `note` is called with one line for each.
 
     Raises `InputError` for an unknown format, when nothing is registered, when a file of the run is missing, and where
     photos, the run's own products or foreign files would be harmed.
@@ -45,25 +45,27 @@ def export(
     for name in chosen:
         part = replace(source, target=out / name, notes=[], progress=track(name))
         atomic_folder(out / name, lambda folder, part=part, name=name: _fill(part, name, folder))  # type: ignore[misc]
-        note("; ".join([f"{out / name}: {len(part.rows)} cameras, {left_out} without a place left out", *part.notes]))
+        note(
+            "; ".join([f"{out / name}: {len(part.rows)} cameras, {left_out} without a position left out", *part.notes])
+        )
 
 
 def chosen_formats(names: Sequence[str]) -> list[str]:
     """The formats of a list such as "exif,kml" or "all". Raises `InputError` for one that is not known."""
-    asked = [name.strip() for text in names for name in text.split(",") if name.strip()]
-    for name in asked:
+    chosen = [name.strip() for text in names for name in text.split(",") if name.strip()]
+    for name in chosen:
         if name != "all" and name not in FORMATS:
             raise InputError(f"--to {name}: no such format; {nearest(name, [*FORMATS, 'all'])}")
-    if not asked:
+    if not chosen:
         raise InputError(f"--to: name a format; known: {', '.join([*FORMATS, 'all'])}")
-    return list(FORMATS) if "all" in asked else list(dict.fromkeys(asked))
+    return list(FORMATS) if "all" in chosen else list(dict.fromkeys(chosen))
 
 
 def _fill(source: Source, name: str, folder: Path) -> None:
     heights = FORMATS[name](source, folder)
     files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    told = {"skymoor": __version__, "format": name, "heights": heights, "files": files}
-    (folder / NOTE).write_text(json.dumps(told, indent=1), encoding="utf-8")
+    about = {"skymoor": __version__, "format": name, "heights": heights, "files": files}
+    (folder / NOTE).write_text(json.dumps(about, indent=1), encoding="utf-8")
 
 
 def _require_out(result: Result, out: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reference and the registered model on one grid of local metres: what maps and viewers lay over each other."""
+"""The reference and the registered model on one grid of local metres: what maps and viewers overlay."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SPARE_M = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Mosaic:
-    """Pictures on `grid`; what is not there any more is None, and `note` says why.
+    """Images on `grid`; None for what is missing, and `note` says why.
 
     Attributes:
         satellite, satellite_height: the reference (h, w, 3) and its ENU heights (h, w) in metres, NaN where unknown.
@@ -72,14 +72,14 @@ def _reference(result: Result, max_pixels: float) -> tuple[Reference | None, str
     ortho, dsm = Path(files.get("ortho", "")), Path(files.get("dsm", ""))
     missing = next((path for path in (ortho, dsm) if not path.is_file()), None)
     if missing is not None:
-        return None, f"{missing}: the reference is not where the run found it; its pictures are left out"
+        return None, f"{missing}: the reference is not where the run found it; its images are left out"
     try:
         found = read_reference(ortho, dsm, files.get("vertical_datum"), result.covariance, max_pixels=max_pixels)
     except InputError as error:
         return None, str(error)
     moved = abs(found.frame.lat_deg - result.frame.lat_deg) + abs(found.frame.lon_deg - result.frame.lon_deg)
     if moved > SAME_PLACE_DEG or abs(found.frame.height_m - result.frame.height_m) > SAME_HEIGHT_M:
-        return None, f"{ortho}: the reference is not the one of the run any more; its pictures are left out"
+        return None, f"{ortho}: the reference is not the one of the run any more; its images are left out"
     return found, ""
 
 
@@ -112,9 +112,9 @@ def _colours(path: Path, grid: Grid, frame: EnuFrame) -> tuple[Image, Mask]:
     at, _, step = _lookup(raster, grid, frame)
     with opened(path) as source:
         rgb, known = read_colours(source, Window(0, 0, source.width, source.height), step)
-    laid = cv2.remap(np.nan_to_num(rgb).astype(np.float32), at, None, cv2.INTER_LINEAR)
+    warped = cv2.remap(np.nan_to_num(rgb).astype(np.float32), at, None, cv2.INTER_LINEAR)
     mask = cv2.remap(np.asarray(known, np.float32), at, None, cv2.INTER_LINEAR) > 0.5
-    return np.clip(laid, 0, 255).astype(np.uint8), np.asarray(mask, bool)
+    return np.clip(warped, 0, 255).astype(np.uint8), np.asarray(mask, bool)
 
 
 def _heights(path: Path, grid: Grid, frame: EnuFrame) -> Array32:
@@ -122,6 +122,6 @@ def _heights(path: Path, grid: Grid, frame: EnuFrame) -> Array32:
     at, lla, step = _lookup(raster, grid, frame)
     with opened(path) as source:
         height = read_heights(source, Window(0, 0, source.width, source.height), step).astype(np.float32)
-    laid = cv2.remap(height, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
-    up = frame.enu_from_lla(lla[:, 0], lla[:, 1], np.nan_to_num(laid).ravel())[:, 2].reshape(grid.shape)
-    return np.where(np.isfinite(laid), up, np.nan).astype(np.float32)
+    warped = cv2.remap(height, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
+    up = frame.enu_from_lla(lla[:, 0], lla[:, 1], np.nan_to_num(warped).ravel())[:, 2].reshape(grid.shape)
+    return np.where(np.isfinite(warped), up, np.nan).astype(np.float32)

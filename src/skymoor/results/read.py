@@ -113,7 +113,7 @@ class Result:
         return tuple(read_camera_rows(self.folder / "cameras.csv"))
 
     @cached_property
-    def placed(self) -> tuple[CameraRow, ...]:
+    def registered_cameras(self) -> tuple[CameraRow, ...]:
         """Those with a position."""
         return tuple(row for row in self.cameras if row.lat is not None)
 
@@ -167,15 +167,15 @@ class Result:
         return pandas.DataFrame.from_records([asdict(row) for row in self.cameras], columns=CAMERA_COLUMNS)
 
     def to_geodataframe(self) -> geopandas.GeoDataFrame:
-        """The same with points of WGS 84 longitude, latitude and ellipsoidal height (EPSG:4979), none where not placed.
+        """The same with points of WGS 84 longitude, latitude, height (EPSG:4979), none where not registered.
 
         Raises `BackendUnavailable` where geopandas is missing.
         """
         geopandas, table = require("geopandas", "table"), self.to_dataframe()
         numbers = table[["lon", "lat", "height"]].astype(float)
         points = geopandas.points_from_xy(numbers["lon"], numbers["lat"], numbers["height"])
-        placed = numbers["lat"].notna()
-        return geopandas.GeoDataFrame(table, geometry=geopandas.GeoSeries(points).where(placed), crs="EPSG:4979")
+        known = numbers["lat"].notna()
+        return geopandas.GeoDataFrame(table, geometry=geopandas.GeoSeries(points).where(known), crs="EPSG:4979")
 
     def __repr__(self) -> str:
         lines = [f"{self.summary.get('site', '')}: result in {self.folder}"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tables that skymoor reads: truth.csv of a user, cameras.csv of a run."""
+"""Tables: truth.csv of a user, cameras.csv of a run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ REQUIRED_COLUMNS = (*TEXTS, "lat", "lon", "height", *ACCURACY)
 
 @dataclass(frozen=True)
 class CameraRow:
-    """One line of cameras.csv, columns in this order; everything from `lat` on is None where it is not placed.
+    """One line of cameras.csv, columns in this order; everything from `lat` on is None where it is not registered.
 
     Latitude and longitude in WGS 84 degrees, height above its ellipsoid, and east, north, up of the site in metres;
     the quaternion is camera-from-ENU; `ce90` and `le90` are predicted metres, and `relative_ce90` and `relative_le90`
@@ -84,7 +84,7 @@ def read_cameras_csv(path: Path) -> list[Estimate]:
 
 
 def read_camera_rows(path: Path) -> list[CameraRow]:
-    """The same with all that cameras.csv says."""
+    """The same with all columns of cameras.csv."""
     columns = [item.name for item in fields(CameraRow) if item.name not in TEXTS]
     return [CameraRow(**row, **numbers) for row, numbers in _cameras(path, columns)]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run leaves behind: summary, cameras, models, rasters and pictures, all by `Store`."""
+"""Products of a run: summary, cameras, models, rasters and figures, all written by `Store`."""
 
 from __future__ import annotations
 
@@ -47,24 +47,24 @@ GROUND_STEP_PX = 3  # ground photos see the same wall often: a ninth of their pi
 
 @dataclass(frozen=True, eq=False)
 class SetResult:
-    """A set of photos by its name, its folder, the names of its images, and what became of its components."""
+    """A set of photos: its name, folder, names of images, and the results of its components."""
 
     name: str
     folder: Path
     images: Sequence[str]
-    placed: Sequence[ComponentResult]
+    components: Sequence[ComponentResult]
 
 
-def accuracy_of(placed: ComponentResult, reference: Reference) -> CameraAccuracy:
-    """How well the cameras of a registered component are known.
+def accuracy_of(item: ComponentResult, reference: Reference) -> CameraAccuracy:
+    """Covariances of the camera centres of a registered component.
 
-    A ground component stands on an airborne one, and inherits how unsure that is at the place of its cameras.
+    A ground component is registered to an airborne one, and inherits its covariance at the position of its cameras.
     """
-    base, shape = placed.base, placed.shape_enu
-    centres = np.array([camera.centre for camera in placed.cameras_enu]).reshape(-1, 3)
-    # What stands on another model takes its scale from that.
-    calibration = placed.component.calibration if base is None else None
-    found = camera_accuracy(placed.registration, centres, reference, calibration, shape)
+    base, shape = item.base, item.shape_enu
+    centres = np.array([camera.centre for camera in item.cameras_enu]).reshape(-1, 3)
+    # A model that is registered to another takes its scale from that.
+    calibration = item.component.calibration if base is None else None
+    found = camera_accuracy(item.registration, centres, reference, calibration, shape)
     if base is None:
         return found
     carried = camera_accuracy(base.registration, centres, reference, base.component.calibration)
@@ -97,9 +97,9 @@ def write_products(
     store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
     store.write_json("cameras.geojson", cameras_geojson(rows))
     for found in sets:
-        for k, item in enumerate(found.placed):
+        for k, item in enumerate(found.components):
             _write_component(f"{found.name}_{k}", item, reference, options.match, store)
-    _write_rasters([item for found in sets for item in found.placed], reference, options.match, store)
+    _write_rasters([item for found in sets for item in found.components], reference, options.match, store)
     summary = {
         "skymoor": __version__,
         "site": site.name,
@@ -125,13 +125,13 @@ def camera_rows(found: SetResult, reference: Reference) -> list[CameraRow]:
     """Rows of cameras.csv. Components overlap: a photo counts in the first, largest one that holds it."""
     rows: list[CameraRow] = []
     seen: set[str] = set()
-    for k, item in enumerate(found.placed):
+    for k, item in enumerate(found.components):
         mine: list[CameraRow] = []
         if item.registration.registered:
             figures = figures_of(accuracy_of(item, reference))
             mine = placed_cameras(found.name, k, item.cameras_enu, reference.frame, figures)
-        placed = {row.image for row in mine}
-        others = [camera.image for camera in item.component.cameras if camera.image not in placed]
+        registered = {row.image for row in mine}
+        others = [camera.image for camera in item.component.cameras if camera.image not in registered]
         mine += unplaced_cameras(found.name, k, others)
         rows += [row for row in mine if row.image not in seen]
         seen.update(row.image for row in mine)
@@ -139,16 +139,16 @@ def camera_rows(found: SetResult, reference: Reference) -> list[CameraRow]:
 
 
 def _set_summary(found: SetResult, reference: Reference) -> dict[str, Any]:
-    taken = {camera.image for item in found.placed for camera in item.component.cameras}
-    good = bool(found.placed) and all(item.registration.registered for item in found.placed)
+    taken = {camera.image for item in found.components for camera in item.component.cameras}
+    good = bool(found.components) and all(item.registration.registered for item in found.components)
     return {
         "set": found.name,
         "folder": found.folder.resolve(),
         "status": REGISTERED if good else NOT_REGISTERED,
-        "reason": "" if found.placed else "no two photos have enough in common",
+        "reason": "" if found.components else "no two photos have enough matches",
         "n_images": len(found.images),
         "n_images_reconstructed": len(taken.intersection(found.images)),
-        "components": [_component_summary(k, item, reference) for k, item in enumerate(found.placed)],
+        "components": [_component_summary(k, item, reference) for k, item in enumerate(found.components)],
     }
 
 
@@ -187,28 +187,25 @@ def _component_summary(index: int, item: ComponentResult, reference: Reference) 
 
 
 def _hypotheses(item: ComponentResult, reference: Reference, count: int = 3) -> list[dict[str, float]]:
-    """The likeliest places of a component, whichever is believed."""
-    told = []
+    """The best hypotheses of a component, accepted or not."""
+    rows = []
     for one in item.hypotheses[:count]:
         lat, lon, _ = reference.frame.lla_from_enu([[one.east, one.north, 0.0]])[0].tolist()
-        told.append({"lat": lat, "lon": lon, **asdict(one)})
-    return told
+        rows.append({"lat": lat, "lon": lon, **asdict(one)})
+    return rows
 
 
 def calibration_note(item: ComponentResult) -> str:
     """What a person must know about the focal length, empty where it is well known."""
     calibration = item.component.calibration
     if calibration is None or not calibration.uncertain or item.base is not None:
-        return ""  # what stands on another model takes its scale from that
+        return ""  # a model that is registered to another takes its scale from that
     half = 100 * calibration.focal_sigma
-    note = f"The photos do not tell focal length from flying height (+-{half:.0f} %): heights of cameras are as unsure."
-    if calibration.relief_ratio is not None:
-        change = 100 * (calibration.relief_ratio - 1)
-        note = (
-            f"The photos did not tell focal length from flying height; the reference's relief changed the focal length "
-            f"by {change:+.1f} % and leaves +-{half:.0f} %."
-        )
-    return note
+    note = "Focal length and flying height are not separable in these photos"
+    if calibration.relief_ratio is None:
+        return f"{note}: camera heights are uncertain by +-{half:.0f} %."
+    change = 100 * (calibration.relief_ratio - 1)
+    return f"{note}; the relief of the reference changed the focal length by {change:+.1f} % and leaves +-{half:.0f} %."
 
 
 def _write_component(
@@ -239,8 +236,8 @@ def _write_pictures(
     if item.matches is None:
         return
     pixels = item.matches.pixels
-    picture = match_figure(render.rgb, reference.rgb, pixels, found.inliers)
-    store.write_png(f"matches/{name}_matches.png", picture)
+    figure = match_figure(render.rgb, reference.rgb, pixels, found.inliers)
+    store.write_png(f"matches/{name}_matches.png", figure)
     inliers = np.zeros(len(pixels), bool) if found.inliers is None else found.inliers
     residuals = np.full((len(pixels), 3), np.nan) if found.residuals_m is None else found.residuals_m
     store.write_npz(
@@ -256,20 +253,20 @@ def _write_pictures(
     if found.enu_from_level is None or found.residuals_m is None:
         return
     pixel_m = reference.grid.pixel_m
-    laid, _ = warp_to_reference(render, found, reference, options.min_height_confidence)
-    store.write_png(f"matches/{name}_overlay.png", overlay_figure(laid, reference.rgb, pixel_m=pixel_m))
+    warped, _ = warp_to_reference(render, found, reference, options.min_height_confidence)
+    store.write_png(f"matches/{name}_overlay.png", overlay_figure(warped, reference.rgb, pixel_m=pixel_m))
     arrows = residual_figure(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
     store.write_png(f"matches/{name}_residuals.png", arrows)
 
 
 def _write_rasters(
-    placed: Sequence[ComponentResult], reference: Reference, options: MatchOptions, store: Store
+    components: Sequence[ComponentResult], reference: Reference, options: MatchOptions, store: Store
 ) -> None:
     """pointcloud.laz, ortho.tif and dsm.tif of all registered components; smaller ones fill what larger leave."""
     rgb = np.zeros((*reference.grid.shape, 3), np.uint8)
     height = np.full(reference.grid.shape, np.nan, np.float32)
     clouds, colours = [], []
-    for item in placed:
+    for item in components:
         if not item.registration.registered or item.registration.enu_from_level is None:
             continue
         if item.render is None:
@@ -277,12 +274,12 @@ def _write_rasters(
                 clouds.append(item.registration.enu_from_level.apply(xyz_level.astype(np.float64)))
                 colours.append(rgb_of)
             continue
-        believed = item.render.confidence >= options.min_height_confidence
-        clouds.append(item.registration.enu_from_level.apply(item.render.xyz[believed].astype(np.float64)))
-        colours.append(item.render.rgb[believed])
-        laid, up = warp_to_reference(item.render, item.registration, reference, options.min_height_confidence)
+        confident = item.render.confidence >= options.min_height_confidence
+        clouds.append(item.registration.enu_from_level.apply(item.render.xyz[confident].astype(np.float64)))
+        colours.append(item.render.rgb[confident])
+        warped, up = warp_to_reference(item.render, item.registration, reference, options.min_height_confidence)
         fill = np.isnan(height) & np.isfinite(up)
-        rgb[fill], height[fill] = laid.rgb[fill], up[fill]
+        rgb[fill], height[fill] = warped.rgb[fill], up[fill]
     names = ("pointcloud.laz", "ortho.tif", "dsm.tif")
     try:
         if not clouds:

@@ -19,7 +19,7 @@ SUFFIX = ".tmp"
 
 @contextmanager
 def atomic_file(target: Path) -> Iterator[IO[bytes]]:
-    """A binary file to write (and read back) that takes the place of `target` when the block ends without an error."""
+    """A binary file to write (and read back) that replaces `target` when the block ends without an error."""
     with disk_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         descriptor, name = tempfile.mkstemp(prefix=PREFIX, suffix=SUFFIX, dir=target.parent)
@@ -35,12 +35,12 @@ def atomic_file(target: Path) -> Iterator[IO[bytes]]:
             temporary.replace(target)
             _sync_folder(target.parent)
     finally:
-        with suppress(OSError):  # what went wrong before is what the user must hear of
+        with suppress(OSError):  # the error before this is the one to report
             temporary.unlink(missing_ok=True)
 
 
 def atomic_folder(target: Path, fill: Callable[[Path], object]) -> None:
-    """Let `fill` write into a new folder, then put that in the place of `target`."""
+    """Let `fill` write into a new folder, then replace `target` by it."""
     with disk_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=PREFIX, suffix=SUFFIX, dir=target.parent))

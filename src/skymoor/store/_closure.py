@@ -72,7 +72,7 @@ def _imported(name: str) -> Iterator[str]:
 
 
 def _home(module: str, name: str) -> Iterator[str]:
-    """The module that `from module import name` is about; none for what the package itself says, as its version."""
+    """The module that `from module import name` refers to; none for names of the package itself, as its version."""
     if _source(f"{module}.{name}") is not None:
         yield f"{module}.{name}"
     elif name in (handed := _handed_on(module)):

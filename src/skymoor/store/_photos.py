@@ -33,11 +33,11 @@ TIFF_XMP_TAG = 700
 
 
 def open_photos(folder: Path, root: Path, progress: Progress = no_progress) -> Photos:
-    """The photos directly in `folder`, by name; every one is decoded once to be sure of it.
+    """The photos directly in `folder`, by name; every one is decoded once as a check.
 
     Names are relative to `root` with forward slashes; for a folder outside of `root` they are FOLDER/FILE. Photos
     are read as they are stored: the EXIF orientation is ignored on purpose, since what counts is the sensor's raster.
-    Grey and 16-bit images become 8-bit RGB, the latter by dropping the lower byte. Of several pictures in one file
+    Grey and 16-bit images become 8-bit RGB, the latter by dropping the lower byte. Of several images in one file
     the first counts.
 
     Raises `InputError` for a missing or empty folder, for fewer than 3 photos, and for one that cannot be decoded to
@@ -114,7 +114,7 @@ def photo_files(folder: Path) -> list[Path]:
 
 
 def _is_photo_file(entry: Path) -> bool:
-    """Folders and devices are passed over; what was meant to be a photo and cannot be used is told."""
+    """Folders and devices are passed over; a file that is meant to be a photo and cannot be used is reported."""
     if entry.is_symlink() and not entry.exists():
         raise InputError(f"{entry}: is a link to nothing; remove it, or put the photo where it points")
     if not entry.is_file():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values as the JSON encoder wants them."""
+"""Values as the JSON encoder takes them."""
 
 from __future__ import annotations
 

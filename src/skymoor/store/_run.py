@@ -75,7 +75,7 @@ class Store:
 
     @classmethod
     def open(cls, out: Path, note: Callable[[str], None] = lambda _: None) -> Store:
-        """Make or reopen a run directory and lock it; `note` is told in one line of anything odd.
+        """Make or reopen a run directory and lock it; `note` is called with one line for each irregularity.
 
         Raises `InputError` when it is a file, cannot be written, holds files of others that a run would overwrite, or
         another run holds it.
@@ -231,7 +231,7 @@ class Store:
         return self.write_text(name, buffer.getvalue())
 
     def write_png(self, name: str, rgb: NDArray[np.uint8]) -> Path:
-        """Write a picture (h, w, 3) RGB, (h, w, 4) RGBA or (h, w) grey."""
+        """Write an image (h, w, 3) RGB, (h, w, 4) RGBA or (h, w) grey."""
         buffer = io.BytesIO()
         Image.fromarray(np.ascontiguousarray(rgb, dtype=np.uint8)).save(buffer, format="png")
         return self.write_bytes(name, buffer.getvalue())

@@ -63,7 +63,7 @@ def test_a_draped_surface_has_no_triangle_over_a_hole() -> None:
 def test_a_run_without_anything_on_earth_is_told(tmp_path: Path) -> None:
     run = finished_run(tmp_path, registered=False)
     (tmp_path / "dsm.tif").unlink()
-    with pytest.raises(InputError, match=r"nothing of this run has a place"):
+    with pytest.raises(InputError, match=r"nothing of this run is registered"):
         scene_of(Result.read(run))
 
 

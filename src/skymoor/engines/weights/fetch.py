@@ -45,7 +45,7 @@ def fetch(name: str, folder: Path, progress: Callable[[str], FileProgress]) -> l
     Raises:
         InputError: the name is unknown, a download failed, or a file is not the expected one. A file that is there
             and is not the expected one is never overwritten.
-        BackendUnavailable: a repository of a hub is wanted, and its library is not installed.
+        BackendUnavailable: a repository of a hub is needed, and its library is not installed.
     """
     done = []
     for file in known(name).files:
@@ -75,7 +75,7 @@ def _make_room(path: Path) -> None:
 
 
 def _fetch_file(file: WeightFile, path: Path, progress: FileProgress) -> None:
-    """Under another name in the same folder first, so that an interrupted fetch leaves nothing to be believed."""
+    """Under another name in the same folder first, so that an interrupted fetch leaves no incomplete file."""
     temporary = Path(tempfile.mkdtemp(prefix=PREFIX, dir=path.parent))
     try:
         part = temporary / path.name

@@ -32,7 +32,7 @@ def find(name: str, file: str, given: str | Path = "") -> Path:
 
     Args:
         name, file: as in the table.
-        given: where the user says that it is; empty for the folder of weights.
+        given: path from the user; empty for the folder of weights.
 
     Raises:
         InputError: nothing is at the path that is given.

@@ -83,11 +83,11 @@ def _repository(page: str, size_mb: float, skip: tuple[str, ...] = ()) -> Weight
 _MATCHERS = (
     Weights(
         "roma",
-        "RomaMatcher: the paper's matcher between pictures",
+        "RomaMatcher: the paper's matcher between images",
         (WeightFile("roma_outdoor.pth", f"{_ROMA}roma_outdoor.pth", 445), _DINOV2),
         "MIT",
         "MIT; DINOv2 Apache-2.0",
-        "a GPU is wanted: a pair takes minutes on a CPU",
+        "needs a GPU: a pair takes minutes on a CPU",
     ),
     Weights(
         "tiny-roma",
@@ -226,7 +226,7 @@ _LABELS_AND_DEPTHS = (
         (_repository("prs-eth/marigold-depth-v1-1", 5000, ("*.fp16.*",)),),
         "Apache-2.0",
         "OpenRAIL++-M",
-        "a GPU is wanted: minutes per photo on a CPU; OpenRAIL++-M restricts some uses",
+        "needs a GPU: minutes per photo on a CPU; OpenRAIL++-M restricts some uses",
     ),
     Weights(
         "depth-anything-small",
@@ -252,7 +252,7 @@ _RETRIEVAL = (
         (_repository("facebook/dinov2-giant", 4500, ("*.bin",)),),
         "Apache-2.0",
         "Apache-2.0",
-        "a GPU is wanted",
+        "needs a GPU",
     ),
     Weights(
         "dinov2-small",

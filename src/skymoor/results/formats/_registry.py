@@ -43,9 +43,9 @@ def _colmap(source: Source, folder: Path) -> str:
             (folder / kind / part.name).mkdir(parents=True)
         write_colmap(component, folder / "bin" / part.name)
         colmap_from_component(component).write_text(str(folder / "text" / part.name))
-        told = json.dumps(georeference(source.result.frame, part.enu_from_sfm), indent=1)
+        content = json.dumps(georeference(source.result.frame, part.enu_from_sfm), indent=1)
         for kind in ("bin", "text"):
-            (folder / kind / part.name / "georeference.json").write_text(told, encoding="utf-8")
+            (folder / kind / part.name / "georeference.json").write_text(content, encoding="utf-8")
     return f"metres up of the origin in georeference.json, which is in {ELLIPSOID}"
 
 
@@ -60,8 +60,8 @@ def _nerfstudio(source: Source, folder: Path) -> str:
             paths[camera.image], lost = camera.image, lost + 1
     if lost:
         source.notes.append(f"{lost} photos are not where the run found them: put them beside transforms.json")
-    told = nerfstudio_transforms(cameras, paths, source.result.frame)
-    (folder / "transforms.json").write_text(json.dumps(told, indent=1), encoding="utf-8")
+    content = nerfstudio_transforms(cameras, paths, source.result.frame)
+    (folder / "transforms.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
     return f"metres up of enu_origin, which is in {ELLIPSOID}"
 
 
@@ -77,8 +77,8 @@ def _cog(source: Source, folder: Path) -> str:
 
 
 def _geojson(source: Source, folder: Path) -> str:
-    told = json.dumps(cameras_geojson(source.rows), ensure_ascii=False)
-    (folder / "cameras.geojson").write_text(told, encoding="utf-8")
+    content = json.dumps(cameras_geojson(source.rows), ensure_ascii=False)
+    (folder / "cameras.geojson").write_text(content, encoding="utf-8")
     return ELLIPSOID
 
 
@@ -88,9 +88,9 @@ def _gpkg(source: Source, folder: Path) -> str:
 
 
 def _kml(source: Source, folder: Path) -> str:
-    place = np.array([[row.lat, row.lon, row.height] for row in source.rows], dtype=np.float64)
+    position = np.array([[row.lat, row.lon, row.height] for row in source.rows], dtype=np.float64)
     try:
-        heights: Array | None = datum_from_ellipsoid(place[:, 0], place[:, 1], place[:, 2], EGM96)
+        heights: Array | None = datum_from_ellipsoid(position[:, 0], position[:, 1], position[:, 2], EGM96)
     except InputError:
         heights = None
         source.notes.append("no EGM96 geoid grid is installed: points are clamped to the ground, without altitude")
@@ -114,8 +114,8 @@ def _gltf(source: Source, folder: Path) -> str:
         raise InputError(f"{source.product('dsm.tif')}: holds no surface to make a mesh of; {RUN_FIRST}")
     points = enu.reshape(-1, 3)[used]
     (folder / "model.glb").write_bytes(mesh_glb(points, colours.reshape(-1, 3)[used], faces, source.result.frame))
-    told = tileset(points, source.result.frame, "model.glb")
-    (folder / "tileset.json").write_text(json.dumps(told, indent=1), encoding="utf-8")
+    content = tileset(points, source.result.frame, "model.glb")
+    (folder / "tileset.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
     return f"metres up of the origin in asset.extras, which is in {ELLIPSOID}"
 
 

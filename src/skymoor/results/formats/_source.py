@@ -19,7 +19,7 @@ from skymoor.types import Component, Progress, no_progress
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A finished run with what several formats need of it; images without a place are left out everywhere."""
+    """A finished run with what several formats need of it; images without a position are left out everywhere."""
 
     result: Result
     target: Path  # the folder of the format, as it will be called
@@ -28,15 +28,17 @@ class Source:
 
     @property
     def rows(self) -> tuple[CameraRow, ...]:
-        """Cameras with a place."""
-        return self.result.placed
+        """Cameras with a position."""
+        return self.result.registered_cameras
 
     def components(self) -> Iterator[tuple[ComponentSummary, Component]]:
-        """Registered components in ENU metres, with the cameras that cameras.csv places in them."""
+        """Registered components in ENU metres, with the cameras that cameras.csv lists for them."""
         for part in self.result.components:
             if part.registered:
-                placed = {row.image for row in self.rows if (row.set, row.component) == (part.image_set, part.index)}
-                yield part, _kept(_component(self.result.model(part)), placed)
+                registered = {
+                    row.image for row in self.rows if (row.set, row.component) == (part.image_set, part.index)
+                }
+                yield part, _kept(_component(self.result.model(part)), registered)
 
     def product(self, name: str) -> Path:
         """A file of the run. Raises `InputError` when it is missing."""
@@ -53,7 +55,7 @@ def _component(model: pycolmap.Reconstruction) -> Component:
 
 
 def _kept(component: Component, images: set[str]) -> Component:
-    """The component less cameras without a place, and less points that fewer than two of the others see."""
+    """The component without cameras that have no position, and without points that fewer than two of the others see."""
     keep = np.array([camera.image in images for camera in component.cameras], bool)
     if keep.all():
         return component

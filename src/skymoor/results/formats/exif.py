@@ -19,14 +19,14 @@ SECOND = 10**6  # a millionth of an arc second is 0.03 mm
 
 
 def photo_with_position(jpeg: bytes, row: CameraRow, name: str) -> bytes:
-    """A JPEG file's bytes with GPS tags and XMP in the place of its own; all other segments and the pixels stay.
+    """A JPEG file's bytes with GPS tags and XMP instead of its own; all other segments and the pixels stay.
 
     The altitude is metres above the WGS 84 ellipsoid. Raises `InputError` when it is no whole JPEG, or its EXIF is
     larger than a segment holds.
     """
     try:
-        with Image.open(io.BytesIO(jpeg)) as picture:
-            exif = picture.getexif()
+        with Image.open(io.BytesIO(jpeg)) as image:
+            exif = image.getexif()
         exif.get_ifd(ExifTags.IFD.Exif)  # or Pillow would not write that part again
         exif[ExifTags.IFD.GPSInfo] = gps_tags(row)
         segments = [_segment(_exif_bytes(exif)), _segment(XMP + position_xmp(row).encode())]
@@ -38,7 +38,7 @@ def photo_with_position(jpeg: bytes, row: CameraRow, name: str) -> bytes:
 
 
 def gps_tags(row: CameraRow) -> dict[int, object]:
-    """EXIF's GPS tags of a placed camera; altitude reference 0 (or 1, below) is the ellipsoid since EXIF 3.0."""
+    """EXIF's GPS tags of a registered camera; altitude reference 0 (or 1, below) is the ellipsoid since EXIF 3.0."""
     assert row.lat is not None and row.lon is not None and row.height is not None
     tags = ExifTags.GPS
     found: dict[int, object] = {

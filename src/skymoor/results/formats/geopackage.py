@@ -38,7 +38,7 @@ INSERT INTO gpkg_geometry_columns VALUES ('cameras', 'geom', 'POINT', 4979, 1, 0
 
 
 def cameras_geopackage(rows: Sequence[CameraRow]) -> bytes:
-    """A .gpkg with the layer `cameras` of placed cameras: 3D points in EPSG:4979, heights above the ellipsoid.
+    """A .gpkg with the layer `cameras` of registered cameras: 3D points in EPSG:4979, heights above the ellipsoid.
 
     EPSG writes that CRS latitude first; a GeoPackage's points are x, y whatever the CRS says: longitude first.
     """

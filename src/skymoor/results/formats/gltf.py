@@ -34,7 +34,7 @@ def height_field(points_enu: Array, known: NDArray[np.bool_]) -> tuple[NDArray[n
 def mesh_glb(points_enu: Array, colours: NDArray[np.uint8], faces: NDArray[np.uint32], frame: EnuFrame) -> bytes:
     """A .glb of vertices (n, 3) in ENU metres with colours (n, 3) and triangles (m, 3).
 
-    glTF has y up: x is east, y up, z south. The origin stands in `asset.extras`. Positions are floats, good to 0.1 mm
+    glTF has y up: x is east, y up, z south. The origin is in `asset.extras`. Positions are floats, good to 0.1 mm
     within a kilometre of the origin.
     """
     east, north, up = points_enu.T

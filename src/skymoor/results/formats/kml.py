@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from skymoor.results.tables import CameraRow
 
 KML = "http://www.opengis.net/kml/2.2"
-ABSOLUTE = "Altitudes are metres above the EGM96 geoid, as KML wants them."
+ABSOLUTE = "Altitudes are metres above the EGM96 geoid, as KML requires."
 CLAMPED = (
     "No EGM96 geoid grid was installed, so no altitude is given and points are clamped to the ground; "
     "ellipsoidal_height is metres above the WGS 84 ellipsoid."
@@ -19,7 +19,7 @@ CLAMPED = (
 
 
 def cameras_kml(rows: Sequence[CameraRow], egm96_heights: ArrayLike | None) -> bytes:
-    """Placemarks of placed cameras: longitude, latitude and, where (n,) heights above EGM96 are given, altitude."""
+    """Placemarks of registered cameras: longitude, latitude and, where (n,) heights above EGM96 are given, altitude."""
     root = ET.Element("kml", xmlns=KML)
     document = ET.SubElement(root, "Document")
     _add(document, "name", "skymoor cameras")
@@ -33,8 +33,8 @@ def cameras_kml(rows: Sequence[CameraRow], egm96_heights: ArrayLike | None) -> b
             _add(ET.SubElement(data, "Data", name=name), "value", "" if value is None else f"{value:.4f}")
         point = ET.SubElement(mark, "Point")
         _add(point, "altitudeMode", "clampToGround" if height is None else "absolute")
-        place = f"{row.lon:.10f},{row.lat:.10f}"
-        _add(point, "coordinates", place if height is None else f"{place},{height:.4f}")
+        position = f"{row.lon:.10f},{row.lat:.10f}"
+        _add(point, "coordinates", position if height is None else f"{position},{height:.4f}")
     return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
 
 

@@ -18,7 +18,7 @@ def nerfstudio_transforms(
 
     Poses are world-from-camera with OpenGL's axes (x right, y up, z backwards); the world is east, north, up, which is
     nerfstudio's z-up, so `applied_transform` is the identity. The principal point has COLMAP's convention, as theirs:
-    the centre of the first pixel is (0.5, 0.5). The origin on Earth stands in `enu_origin`, which nerfstudio ignores.
+    the centre of the first pixel is (0.5, 0.5). The origin on Earth is in `enu_origin`, which nerfstudio ignores.
     """
     return {
         "camera_model": "OPENCV",
@@ -31,7 +31,7 @@ def nerfstudio_transforms(
 def _frame(camera: Camera, path: str) -> dict[str, object]:
     i = camera.intrinsics
     world_from_cam = np.eye(4)
-    # OpenGL's camera looks along -z with y up; ours along z with y down.
+    # Camera axes: OpenGL has y up and looks along -z; here y is down and the view along z.
     world_from_cam[:3, :3] = camera.cam_from_world.rotation.T * [1.0, -1.0, -1.0]
     world_from_cam[:3, 3] = camera.centre
     k1, k2, p1, p2 = i.distortion

@@ -23,7 +23,7 @@ MILLIMETRE_IN_DEGREES = 1e-8
 def pointcloud_las(points_enu: ArrayLike, colours: NDArray[np.uint8], frame: EnuFrame, crs: str) -> bytes:
     """A .laz file of points (n, 3) in ENU metres with colours (n, 3), in the map projection `crs`.
 
-    Heights are metres above the WGS 84 ellipsoid. The header's CRS says so; where the map has another ellipsoid, it
+    Heights are metres above the WGS 84 ellipsoid. The header's CRS states that; where the map has another ellipsoid, it
     is two-dimensional and leaves heights open. Coordinates are stored to about a millimetre; points that are not
     finite are left out. Raises `InputError` for an unknown CRS.
     """

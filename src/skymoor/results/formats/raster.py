@@ -99,7 +99,7 @@ class _Target:
         """Row slices, the grid pixel (n, w, 2) that each target pixel shows, and ellipsoidal height minus up (n, w).
 
         The projection is smooth, so it is computed on a lattice and interpolated. The position in ENU of a map point
-        depends on its height (by 1 cm for 60 m of it, 1 km from the origin): a first guess finds the height.
+        depends on its height (by 1 cm for 60 m of it, 1 km from the origin): a first approximation finds the height.
         """
         lattice_v, lattice_u = (np.arange(0.0, n + LATTICE_PX, LATTICE_PX, dtype=np.float64) for n in self.shape)
         low, high = (self._enu(lattice_u, lattice_v, self.base_height + step) for step in (0.0, HEIGHT_STEP_M))

@@ -18,7 +18,7 @@ SIDE_PX, QUALITY = 1200, 80
 
 
 def data_uri(rgb: Image, side_px: int = SIDE_PX) -> str:
-    """A picture (h, w, 3), made smaller if it is larger than a page can use, as the address of itself."""
+    """An image (h, w, 3) as a data URI, reduced if it is larger than the page can use."""
     small, _ = fitted(np.ascontiguousarray(rgb), side_px, 1)
     content = io.BytesIO()
     Pillow.fromarray(small).save(content, "JPEG", quality=QUALITY, optimize=True)
@@ -26,7 +26,7 @@ def data_uri(rgb: Image, side_px: int = SIDE_PX) -> str:
 
 
 def file_uri(path: Path, side_px: int = SIDE_PX) -> str | None:
-    """A picture of the run as `data_uri`; None where the run made none, or it is damaged."""
+    """An image of the run as `data_uri`; None where it is missing or damaged."""
     try:
         with Pillow.open(path) as image:
             return data_uri(np.asarray(image.convert("RGB")), side_px)

@@ -82,7 +82,7 @@ def report_page(result: Result) -> str:
         satellite=None if mosaic.satellite is None else data_uri(mosaic.satellite),
         swipe=_swipe(mosaic),
         heights=_heights(mosaic),
-        placed=result.placed,
+        registered=result.registered_cameras,
         stages=_stages(result.summary.get("stages", [])),
         options=list(words.flattened(result.summary.get("options", {}))),
         provenance=list(words.flattened(result.summary.get("provenance", {}))),
@@ -168,7 +168,7 @@ def _template() -> Any:
     environment = Environment(loader=BaseLoader(), autoescape=True, trim_blocks=True)
     environment.filters |= {"number": words.number, "share": words.share, "duration": words.duration}
     environment.globals |= {
-        name: Markup((folder / file).read_text(encoding="utf-8"))  # ours, not the user's
+        name: Markup((folder / file).read_text(encoding="utf-8"))  # of this package, not of the user
         for name, file in (("style", "page.css"), ("script", "page.js"))
     }
     return environment.from_string((folder / "page.html.j2").read_text(encoding="utf-8"))

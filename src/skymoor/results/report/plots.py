@@ -46,7 +46,7 @@ def plot_cameras(result: Result) -> Any:
         )
     site = escape(str(result.summary.get("site", "")))
     figure.update_layout(
-        title={"text": f"{site}: {len(result.placed)} of {len(result.cameras)} cameras have a place"},
+        title={"text": f"{site}: {len(result.registered_cameras)} of {len(result.cameras)} cameras have a position"},
         xaxis={"title": {"text": "east, m"}, "constrain": "domain"},
         yaxis={"title": {"text": "north, m"}, "scaleanchor": "x", "scaleratio": 1},
         images=list(_background(mosaic_of(result))),
@@ -109,9 +109,9 @@ def plot_stages(result: Result) -> Any:
 
 
 def _placed(result: Result) -> dict[str, list[CameraRow]]:
-    """The cameras with a place, by component."""
+    """The cameras with a position, by component."""
     found: dict[str, list[CameraRow]] = {}
-    for row in result.placed:
+    for row in result.registered_cameras:
         found.setdefault(f"{row.set}_{row.component}", []).append(row)
     return found
 
@@ -122,7 +122,7 @@ def _accuracy(row: CameraRow) -> str:
 
 
 def _background(mosaic: Mosaic) -> Iterator[dict[str, Any]]:
-    """The model on the reference, which is faint, as one picture in metres."""
+    """The model on the reference, which is faint, as one image in metres."""
     if mosaic.grid is None:
         return
     rgba = np.zeros((*mosaic.grid.shape, 4), np.uint8)

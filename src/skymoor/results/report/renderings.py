@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays to pictures (h, w, 3) uint8 RGB that a person can judge."""
+"""Figures (h, w, 3) uint8 RGB of arrays: heights, confidence, matches, overlays and residuals."""
 
 from __future__ import annotations
 
@@ -51,24 +51,24 @@ def match_figure(
     return canvas
 
 
-def overlay_figure(laid: Raster, reference: Image, *, tile_m: float = 15.0, pixel_m: float = 0.5) -> Image:
+def overlay_figure(warped: Raster, reference: Image, *, tile_m: float = 15.0, pixel_m: float = 0.5) -> Image:
     """The registered render and the reference as a checkerboard: roads and roofs must run on across the fields."""
-    h, w = laid.mask.shape
+    h, w = warped.mask.shape
     tile = max(4, round(tile_m / pixel_m))
     rows, columns = np.indices((h, w)) // tile
-    mine = ((rows + columns) % 2 == 0) & laid.mask
-    picture = np.where(mine[..., None], laid.rgb, reference)
-    area = np.nonzero(laid.mask)
+    mine = ((rows + columns) % 2 == 0) & warped.mask
+    mixed = np.where(mine[..., None], warped.rgb, reference)
+    area = np.nonzero(warped.mask)
     if not len(area[0]):
         return np.asarray(reference)
     part = tuple(slice(max(0, x.min() - tile), x.max() + tile) for x in area)
-    cropped = np.ascontiguousarray(picture[part])
+    cropped = np.ascontiguousarray(mixed[part])
     zoom = max(1, round(900 / max(cropped.shape[:2])))
     return np.asarray(cv2.resize(cropped, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC))
 
 
 def residual_figure(reference: Image, px: Array, residuals_m: Array, inliers: Mask, *, pixel_m: float) -> Image:
-    """Where on the reference the transform leaves what: an arrow per place (50 times enlarged), colour for height.
+    """Residuals on the reference: an arrow per position (50 times enlarged), its colour is the vertical residual.
 
     Blue is too low, white right, red too high by a metre. Residuals are means over neighbours.
     """
@@ -103,7 +103,7 @@ def _diverging(up: float) -> tuple[int, int, int]:
 
 
 def _around(image: Image, px: Array, border: float = 0.1) -> tuple[Image, Array]:
-    """The part of a picture that holds the pixels, with a border, and its first pixel."""
+    """The part of an image that holds the pixels, with a border, and its first pixel."""
     low, high = px.min(axis=0), px.max(axis=0)
     margin = border * (high - low).max() + 8
     limit = np.array(image.shape[1::-1])

@@ -80,7 +80,7 @@ def scene_of(result: Result) -> Scene:
             notes += _without_photos(result, cameras[one.name][0])
     if not layers and not any(cameras.values()):
         raise InputError(
-            f"{result.folder}: nothing of this run has a place, so there is nothing to see; read report.html"
+            f"{result.folder}: nothing of this run is registered, so there is nothing to show; read report.html"
         )
     return Scene(tuple(layers), cameras, tuple(notes))
 
@@ -126,13 +126,13 @@ def _frustums(
     found = []
     for row in result.cameras:
         turn = (row.qw, row.qx, row.qy, row.qz)
-        place = (row.east, row.north, row.up)
-        if (row.set, row.component) != (component.image_set, component.index) or None in (*turn, *place):
+        position = (row.east, row.north, row.up)
+        if (row.set, row.component) != (component.image_set, component.index) or None in (*turn, *position):
             continue
         lens = lenses.get(row.image)
         fov = FOV_RAD if lens is None else 2 * atan(0.5 * lens.height / lens.focal_length_y)
         aspect = 4 / 3 if lens is None else lens.width / lens.height
         # The table has camera-from-ENU; the inverse of a unit quaternion is its conjugate.
         turned = np.array(turn, dtype=np.float64) * [1, -1, -1, -1]
-        found.append(Frustum(row, np.array(place, dtype=np.float64), turned, fov, aspect))
+        found.append(Frustum(row, np.array(position, dtype=np.float64), turned, fov, aspect))
     return tuple(found)

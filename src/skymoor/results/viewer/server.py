@@ -22,9 +22,9 @@ from skymoor.results.report.words import number
 from skymoor.results.viewer.scene import Frustum, Layer, Scene, scene_of
 from skymoor.types import Image
 
-HOST = "127.0.0.1"  # whoever wants to show a site to the network forwards the port
+HOST = "127.0.0.1"  # to show a site in a network, forward the port
 THUMB_PX, PHOTO_PX = 160, 900
-THUMBS_FOR = 400  # cameras: beyond, pictures come on a click only
+THUMBS_FOR = 400  # with more cameras, photos are shown on a click only
 COLOURS = ((255, 190, 40), (60, 190, 255), (255, 110, 180), (120, 225, 110), (255, 140, 60), (180, 150, 255))
 
 
@@ -53,7 +53,7 @@ def view_run(result: Result, *, port: int, browser: bool, note: Callable[[str], 
 def serve(result: Result, scene: Scene, port: int) -> Any:
     """A running viser server of the scene; the caller stops it."""
     viser = require("viser", "view")
-    with redirect_stdout(io.StringIO()):  # it greets whatever it is told; our own line says the address
+    with redirect_stdout(io.StringIO()):  # its banner; the address is printed below
         server = viser.ViserServer(
             host=HOST, port=port, verbose=False, label=f"skymoor: {result.summary.get('site', '')}"
         )
@@ -62,10 +62,10 @@ def serve(result: Result, scene: Scene, port: int) -> Any:
     with server.gui.add_folder("Layers"):
         for layer in scene.layers:
             _switch(server, layer.name, [_shown(server, layer)], visible=layer.name != "model surface")
-    told = _Told(server, result)
+    details = _Details(server, result)
     with server.gui.add_folder("Cameras"):
         for k, (name, frustums) in enumerate(scene.cameras.items()):
-            handles = [told.shown(one, COLOURS[k % len(COLOURS)], scene) for one in frustums]
+            handles = [details.shown(one, COLOURS[k % len(COLOURS)], scene) for one in frustums]
             _switch(server, f"{name} ({len(handles)})", handles, visible=True)
     return server
 
@@ -92,8 +92,8 @@ def _shown(server: Any, layer: Layer) -> Any:
 
 def _aim(server: Any, scene: Scene) -> None:
     """Start south of everything, looking down on it."""
-    places = [one.position for frustums in scene.cameras.values() for one in frustums]
-    points = np.array(places) if places else scene.layers[0].points.astype(np.float64)
+    centres = [one.position for frustums in scene.cameras.values() for one in frustums]
+    points = np.array(centres) if centres else scene.layers[0].points.astype(np.float64)
     middle, reach = np.median(points, axis=0), float(np.ptp(points[:, :2], axis=0).max()) + 30.0
 
     def look(client: Any) -> None:
@@ -104,7 +104,7 @@ def _aim(server: Any, scene: Scene) -> None:
     server.on_client_connect(look)
 
 
-class _Told:
+class _Details:
     """The camera that was clicked last: its photo, position and accuracy beside the scene."""
 
     def __init__(self, server: Any, result: Result) -> None:
@@ -114,7 +114,7 @@ class _Told:
             self._photo = server.gui.add_image(np.zeros((2, 2, 3), np.uint8), visible=False)
 
     def shown(self, one: Frustum, colour: tuple[int, int, int], scene: Scene) -> Any:
-        """The camera in the scene, which tells of itself when it is clicked."""
+        """The camera in the scene, which shows its details when it is clicked."""
         many = sum(map(len, scene.cameras.values())) > THUMBS_FOR
         size = 0.04 * max(20.0, float(np.ptp([c.position for c in next(iter(scene.cameras.values()))], axis=0).max()))
         handle = self._server.scene.add_camera_frustum(
@@ -123,22 +123,22 @@ class _Told:
             aspect=one.aspect,
             scale=min(size, 6.0),
             color=colour,
-            image=None if many else self._picture(one, THUMB_PX),
+            image=None if many else self._image(one, THUMB_PX),
             wxyz=one.enu_from_camera_wxyz,
             position=one.position,
         )
-        handle.on_click(lambda _: self.tell(one))
+        handle.on_click(lambda _: self.show(one))
         return handle
 
-    def tell(self, one: Frustum) -> None:
+    def show(self, one: Frustum) -> None:
         """Show it beside the scene."""
         self._words.content = words_of(one)
-        picture = self._picture(one, PHOTO_PX)
-        self._photo.visible = picture is not None
-        if picture is not None:
-            self._photo.image = picture
+        photo = self._image(one, PHOTO_PX)
+        self._photo.visible = photo is not None
+        if photo is not None:
+            self._photo.image = photo
 
-    def _picture(self, one: Frustum, side_px: int) -> Image | None:
+    def _image(self, one: Frustum, side_px: int) -> Image | None:
         try:
             with Pillow.open(self._result.photo(one.row.image)) as image:
                 image.draft("RGB", (side_px, side_px))  # JPEGs are decoded small, many times faster
