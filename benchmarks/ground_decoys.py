@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where ground components are laid on the right airborne model, and on models of other places, where nothing is right.
+"""Ground components registered to the right airborne model, and to models of other sites, where nothing is right.
 
     python benchmarks/ground_decoys.py RUN RUN [...] --answers FOLDER [--others 2] [--results FILE]
 
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import pickle
 import sys
 import time
 from pathlib import Path
@@ -27,7 +26,8 @@ from paper_tables import provenance
 from skymoor.geo import EnuFrame
 from skymoor.ground.walls import AirborneWalls, WallHypotheses, search_ground
 from skymoor.results.tables import read_truth_csv
-from skymoor.store._cache import read_cache
+from skymoor.store import read_stage
+from skymoor.store._cache import read_cache, write_cache
 from skymoor.types import DepthMap
 
 RIGHT_M = 3.0
@@ -49,7 +49,7 @@ def main() -> None:
         others = [other for other in options.runs if kind(other) != kind(run)]
         chosen = [others[(k + 2 * i) % len(others)] for i in range(min(options.others, len(others)))]
         for other in [run, *chosen]:
-            answers, seconds = searched(options.answers / f"{run.name}-{k}-on-{other.name}.pkl", maps, walls[other])
+            answers, seconds = searched(options.answers / f"{run.name}-{k}-on-{other.name}.npz", maps, walls[other])
             rows.append(row(run, k, maps, other, answers, seconds))
             print(json.dumps(rows[-1]), flush=True)
     show(rows)
@@ -64,9 +64,10 @@ def kind(run: Path) -> str:
 
 def stage(run: Path, name: str) -> Any:
     """The kept result of a stage; None where there is none."""
-    for file in (run / "result/stages").glob(f"{name}-*.pkl"):
-        return read_cache(file)[1]
-    return None
+    try:
+        return read_stage(run / "result", name)
+    except FileNotFoundError:
+        return None
 
 
 def components(runs: list[Path]) -> list[tuple[Path, int, list[DepthMap]]]:
@@ -80,9 +81,9 @@ def searched(file: Path, maps: list[DepthMap], walls: AirborneWalls) -> tuple[Wa
     if not file.exists():
         started = time.process_time()
         answers = search_ground(maps, walls, rng=np.random.default_rng(0))
-        file.write_bytes(pickle.dumps((answers, time.process_time() - started)))
-    found: tuple[WallHypotheses, float] = pickle.loads(file.read_bytes())
-    return found
+        write_cache(file, time.process_time() - started, answers)
+    seconds, found = read_cache(file)
+    return found, seconds
 
 
 def row(

@@ -86,7 +86,7 @@ def kill_in_every_stage(
     kills: list[dict[str, Any]] = []
     for k, stage in enumerate(stages):
         for later in stages[k:]:  # what a former attempt has got done too much
-            for file in (out / "stages").glob(f"{later['name']}-*.pkl"):
+            for file in (out / "stages").glob(f"{later['name']}-*.npz"):
                 file.unlink()
         for _ in range(ATTEMPTS):
             # To the stage it takes about as long as to start, without the products at the end.
@@ -118,7 +118,7 @@ def killed_after(command: list[str], out: Path, stages: list[dict[str, Any]], pa
 
 
 def done(out: Path, stage: str) -> bool:
-    return any((out / "stages").glob(f"{stage}-" + "[0-9a-f]" * 12 + ".pkl"))
+    return any((out / "stages").glob(f"{stage}-" + "[0-9a-f]" * 12 + ".npz"))
 
 
 def contents(out: Path) -> dict[str, object]:

@@ -25,7 +25,7 @@ import numpy as np
 import torch
 
 sys.path.insert(0, str(Path(__file__).parent))
-from scene_models import _Cameras, airborne_scene, cached, compare
+from scene_models import _Cameras, airborne_scene, compare
 
 from skymoor.model import NerfBuilder, nadir_view, oblique_views
 from skymoor.model.nerf import LossWeights, Sizes, UncertaintyOptions
@@ -33,6 +33,7 @@ from skymoor.model.nerf.prior import Votes
 from skymoor.simulate.light.photo import true_depth, true_labels
 from skymoor.simulate.mesh import Label
 from skymoor.simulate.site import Site, true_enu_from_sfm
+from skymoor.store import read_stage
 from skymoor.types import Array32, DepthMap
 
 COARSE = 2.0  # rendered pixels per pixel of the photos: a quarter of the rays says as much
@@ -73,7 +74,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path)
     options = parser.parse_args()
     scene = airborne_scene(options.site)
-    maps: list[DepthMap] = cached(options.run / "stages", "depths")
+    maps: list[DepthMap] = read_stage(options.run, "airborne-0.depths")
     truth = json.loads((options.site / "truth.json").read_text())
     site = Site(options.site, None, np.zeros(3), np.eye(3))  # type: ignore[arg-type]
     enu_from_level = true_enu_from_sfm(_Cameras([m.camera for m in maps]), site.cameras.values())  # type: ignore[arg-type]

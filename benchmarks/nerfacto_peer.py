@@ -30,7 +30,7 @@ from skymoor.model import NerfBuilder
 from skymoor.model.nerf import Sizes, UncertaintyOptions
 from skymoor.model.nerf.box import INNER_PER_LEVEL
 from skymoor.model.nerf.render import look
-from skymoor.store._cache import read_cache
+from skymoor.store import read_stage
 from skymoor.types import DepthMap
 
 HOLD_OUT = 8
@@ -46,8 +46,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path)
     options = parser.parse_args()
     torch.set_num_threads(2)
-    (file,) = (options.run / "stages").glob("airborne-0.depths-*.pkl")
-    maps: list[DepthMap] = read_cache(file)[1]
+    maps: list[DepthMap] = read_stage(options.run, "airborne-0.depths")
     held = maps[HOLD_OUT // 2 :: HOLD_OUT]
     kept = [m for k, m in enumerate(maps) if (k - HOLD_OUT // 2) % HOLD_OUT]
     ours = train_ours(kept, held, options.iterations)

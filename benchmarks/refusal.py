@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often right places are believed and wrong ones refused: windows of models in their own and in other references.
+"""How often right hypotheses are accepted and wrong ones refused: windows of models in own and other references.
 
     python benchmarks/refusal.py RUN=SITE.toml [RUN=SITE.toml ...] [--elsewhere ORTHO=DSM] [--windows 40]
         [--seed 6] [--results FILE]
 
-RUN is the folder of a finished run whose place is known to be right, SITE.toml what it was run on. From each run's
+RUN is the folder of a finished run that is known to be right, SITE.toml what it was run on. From each run's
 nadir render windows of random place, size and shape are cut, and turned, brightened and made noisy at random. Each is
-placed in its own reference with the product's search, decoys, matching, registration and judgement: a true case, and
+registered in its own reference by search, decoys, matching and decision of the product: a true case, and
 right if the window's own points come within two metres (median) of where the whole model's registration puts them.
-Each of its decoys, which lies nowhere, is then placed and judged in the same way, with the others for its decoys: a
-wrong case, harder than another site would be, as it has the window's own look.
-Every sixth window is also placed where nothing is right: in its own reference mirrored, in another site's, and in its
-own with heights of another place. Told are the shares that are believed at the product's limits, and the same for
-limits on the probability of chance alone (the ROC).
+Each of its decoys, which match nowhere, is then registered in the same way, with the others for its decoys: a wrong
+case, harder than another site would be, as it looks like the window itself.
+Every sixth window is also searched where nothing is right: in its own reference mirrored, in that of another site, and
+in its own with heights of elsewhere. Results are the shares that are accepted at the product's limits, and the same for
+limits on the false-alarm probability alone (the ROC).
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ from numpy.typing import NDArray
 from skymoor.geometry import Similarity, umeyama
 from skymoor.match import DecoyOptions, ImageHypothesis, SearchOptions, match_hypothesis
 from skymoor.match.decoys import made_decoys, mirrored
+from skymoor.match.rasters import nadir_raster, reference_raster
 from skymoor.match.search import Sized, search_in
 from skymoor.pipeline.options import Options
-from skymoor.pipeline.overlay import nadir_raster, reference_raster, warp_to_reference
+from skymoor.pipeline.overlay import warp_to_reference
 from skymoor.pipeline.site import load_site
 from skymoor.reference.read import read_reference
-from skymoor.registration import false_alarm_probability, height_agreement, judge, lift, register
+from skymoor.registration import decide, false_alarm_probability, height_agreement, lift, register
 from skymoor.types import Raster, Reference, Registration, Render, View, no_progress
 
 Array = NDArray[np.float64]
@@ -98,10 +99,10 @@ def window(model: Model, rng: np.random.Generator) -> Render | None:
     return Render(cut, rgb.astype(np.uint8), xyz, model.render.confidence[part])
 
 
-def placed_in(
+def registered_in(
     render: Render, reference: Reference, metres: float, rng: np.random.Generator
 ) -> tuple[Registration, list[Registration]]:
-    """The render as the pipeline places it, and so each of its decoys, with the others for its decoys.
+    """Registration of the render as in the pipeline, and so of each of its decoys, with the others for its decoys.
 
     Scales are searched within `SCALE_RANGE` of the true one.
     """
@@ -116,12 +117,12 @@ def placed_in(
         places.append(search_in(sized, raster, **scales, options=SEARCH, progress=no_progress))
     if not places[0]:
         return Registration(registered=False, reason="too small", enu_from_level=None), []
-    judged = []
+    decided = []
     for k, (one, found) in enumerate(zip(renders, places, strict=True)):
-        chance = [other[0].score for j, other in enumerate(places) if j not in (0, k) and other]
+        null = [other[0].score for j, other in enumerate(places) if j not in (0, k) and other]
         if found:
-            judged.append(believed(one, found, chance, reference, rng))
-    return judged[0], judged[1:]
+            decided.append(registered(one, found, null, reference, rng))
+    return decided[0], decided[1:]
 
 
 def as_render(decoy: Raster, view: View) -> Render:
@@ -134,31 +135,32 @@ def as_render(decoy: Raster, view: View) -> Render:
     return Render(view, decoy.rgb, xyz, known.astype(np.float32))
 
 
-def believed(
-    render: Render, places: list[ImageHypothesis], chance: list[float], reference: Reference, rng: np.random.Generator
+def registered(
+    render: Render, hypotheses: list[ImageHypothesis], null: list[float], reference: Reference, rng: np.random.Generator
 ) -> Registration:
-    """A found place matched, registered and judged as in the product; not matched where chance says all."""
-    scores = [place.score for place in places]
-    probability = false_alarm_probability(scores[0], chance)
+    """The best hypothesis matched, registered and decided as in the product; not matched where it is insignificant."""
+    scores = [one.score for one in hypotheses]
+    probability = false_alarm_probability(scores[0], null)
     if probability > CERTAINLY_REFUSED:
         diagnostics = {"search_score": scores[0], "false_alarm_probability": probability}
         return Registration(registered=False, reason="chance", enu_from_level=None, diagnostics=diagnostics)
     match = OPTIONS.match
     picture, target = nadir_raster(render, match.min_height_confidence), reference_raster(reference)
-    matrix = places[0].matrix(picture.mask.shape)
-    pairs, _ = match_hypothesis(picture, target, matrix, match.dense.engine, match.cyclic, rng=rng)
-    metres_per_level = places[0].scale * reference.grid.pixel_m / render.view.pixel
+    matrix = hypotheses[0].matrix(picture.mask.shape)
+    matcher = OPTIONS.engines.dense_matcher(match.matcher)
+    pairs, _ = match_hypothesis(picture, target, matrix, matcher, match.cyclic, rng=rng)
+    metres_per_level = hypotheses[0].scale * reference.grid.pixel_m / render.view.pixel
     matches = lift(pairs, render, reference, metres_per_level, OPTIONS.lift)
     found = register(matches, reference.grid.pixel_m, OPTIONS.register, rng=rng, with_covariance=False)
     heights = None
     if found.registered:
         _, up = warp_to_reference(render, found, reference, match.min_height_confidence)
         heights = height_agreement(up, reference.height, reference.grid.pixel_m)
-    return judge(found, scores, len(pairs), OPTIONS.register, decoys=chance, heights=heights)
+    return decide(found, scores, len(pairs), OPTIONS.register, decoys=null, heights=heights)
 
 
 def row_of(model: Model, number: int, kind: str, found: Registration, render: Render | None) -> dict[str, object]:
-    """One case; `render` where an error can be told."""
+    """One case; `render` where an error is known."""
     return {
         "model": model.name,
         "window": number,
@@ -213,7 +215,7 @@ def main() -> None:
             metres, start = model.enu_from_level.scale, time.perf_counter()
             cases = [("own", model.reference), *(wrong_references(model, others, rng) if k % 6 == 0 else [])]
             for kind, reference in cases:
-                found, decoys = placed_in(render, reference, metres, rng)
+                found, decoys = registered_in(render, reference, metres, rng)
                 rows.append(row_of(model, k, kind, found, None if kind == "another" else render))
                 # Elsewhere the picture's own decoys say nothing new.
                 rows += [row_of(model, k, "decoy", one, None) for one in decoys if kind == "own"]

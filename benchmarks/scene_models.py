@@ -30,7 +30,7 @@ from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.plan import dates_of
 from skymoor.simulate.site import Site, true_enu_from_sfm
 from skymoor.simulate.world import World
-from skymoor.store._cache import read_cache
+from skymoor.store import read_stage
 from skymoor.types import Camera, Render, View
 
 Array = NDArray[Any]
@@ -96,7 +96,7 @@ def case(folder: Path, kind: str, out: Path, more: list[str], scene: Scene | Non
         "nadir_s": seconds["airborne-0.nadir"],
     }
     if scene is not None:
-        found |= judge_surface(folder, out / "result/stages", scene)
+        found |= surface_errors(folder, out / "result", scene)
     return found
 
 
@@ -113,13 +113,13 @@ def own_error(folder: Path, result: Path, row: dict[str, Any]) -> float | None:
     return split(folder, result, row, truth)["own_mean_absolute_m"]
 
 
-def judge_surface(folder: Path, stages: Path, scene: Scene) -> dict[str, Any]:
+def surface_errors(folder: Path, run: Path, scene: Scene) -> dict[str, Any]:
     """Distances between rendered and true surfaces along the rays, in metres, and whether the confidence knows."""
-    model = cached(stages, "model")
+    model = read_stage(run, "airborne-0.model")
     truth = json.loads((folder / "truth.json").read_text())
     site = Site(folder, None, np.array(truth["bias_m"]), np.array(truth["covariance"]))  # type: ignore[arg-type]
     enu_from_level = true_enu_from_sfm(_Cameras([m.camera for m in model.maps]), site.cameras.values())  # type: ignore[arg-type]
-    nadir, views = cached(stages, "nadir"), oblique_views(model.surface_points, model.pixel)
+    nadir, views = read_stage(run, "airborne-0.nadir"), oblique_views(model.surface_points, model.pixel)
     found: dict[str, Any] = {}
     parts = {"nadir": [compare(nadir, nadir.view, scene, enu_from_level, truth["options"]["radius_m"])]}
     started = time.monotonic()
@@ -173,11 +173,6 @@ def compare(
         found = enu_from_level.apply(render.xyz.reshape(-1, 3).astype(np.float64))
         error = (found - true) @ direction
     return error[on_site].astype(np.float32), render.confidence.reshape(-1)[on_site], hits.label[on_site]
-
-
-def cached(stages: Path, name: str) -> Any:
-    (file,) = stages.glob(f"airborne-0.{name}-*.pkl")
-    return read_cache(file)[1]
 
 
 def median(values: Array) -> float | None:

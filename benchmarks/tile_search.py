@@ -37,7 +37,7 @@ from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.plan import dates_of, place_of
 from skymoor.simulate.site import Site
 from skymoor.simulate.world import World
-from skymoor.store._cache import read_cache
+from skymoor.store import read_stage
 from skymoor.types import Array, Array32, Camera, DepthMap, Raster, Registration, Render, View, Warp
 
 Mask = NDArray[np.bool_]
@@ -387,10 +387,12 @@ def laid(cameras: Sequence[Camera], places: Mapping[str, Camera]) -> Similarity:
 
 def stage(run: Path, name: str, *, needed: bool = True) -> Any:
     """What a stage of the finished run has left in its cache; None where it has not come to a stage not `needed`."""
-    files = list((run / "result/stages").glob(f"{name}-*.pkl"))
-    if needed and len(files) != 1:
-        raise SystemExit(f"{run}: the run has no stage {name}; finish it with benchmarks/paper_tables.py")
-    return read_cache(files[0])[1] if files else None
+    try:
+        return read_stage(run / "result", name)
+    except FileNotFoundError as error:
+        if needed:
+            raise SystemExit(f"{error}; or finish it with benchmarks/paper_tables.py") from None
+        return None
 
 
 def truth_of(run: Path) -> dict[str, Any]:

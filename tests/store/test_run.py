@@ -113,7 +113,7 @@ def test_old_results_of_a_stage_are_removed_and_others_kept(out: Path) -> None:
     with Store.open(out) as store:
         store.stage("match", abs, 1)
         store.stage("match-air", abs, 2)
-    (out / "stages/match-0123456789ab.pkl").touch()  # of a former version
+    (out / "stages/match-0123456789ab.npz").touch()  # of another key
     with Store.open(out) as store:
         store.stage("match", abs, 3)
     names = sorted(file.name.rpartition("-")[0] for file in (out / "stages").glob("*-*"))

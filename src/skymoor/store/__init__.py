@@ -2,6 +2,7 @@
 """The disk: the run directory with its cache and products, folders of photos, tables. No other module knows files."""
 
 from skymoor.store._atomic import atomic_folder
+from skymoor.store._cache import read_stage
 from skymoor.store._closure import import_closure
 from skymoor.store._digest import digest
 from skymoor.store._photos import check_photos, has_metadata, name_prefix, open_photos
@@ -21,4 +22,5 @@ __all__ = [
     "name_prefix",
     "open_photos",
     "plain",
+    "read_stage",
 ]

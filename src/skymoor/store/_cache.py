@@ -15,6 +15,9 @@ import numpy as np
 from skymoor.store._atomic import atomic_file
 from skymoor.store._codec import decode, encode
 
+STAGES = "stages"
+"""Folder of the cache in that of a run, and how much of a key is part of a file's name."""
+KEY_LENGTH = 12
 TREE = "tree"
 """Name of the JSON text among the arrays, which are called 0, 1, 2 ..."""
 CHECKSUM_BYTES = hashlib.sha256().digest_size
@@ -61,6 +64,17 @@ def read_cache(file: Path) -> tuple[Any, Any]:
     except (AttributeError, ImportError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise Corrupt(str(error)) from error
     return record, value
+
+
+def read_stage(run: Path, name: str) -> Any:
+    """The kept result of a stage of a run, by the stage's name, for analyses of a finished run.
+
+    Raises `FileNotFoundError` where the run has no such stage, or its cache was cleaned; `Corrupt` if it is damaged.
+    """
+    kept = sorted((run / STAGES).glob(f"{name}-{'[0-9a-f]' * KEY_LENGTH}.npz"))
+    if not kept:
+        raise FileNotFoundError(f"{run / STAGES}: no kept result of the stage {name}; run skymoor run again")
+    return read_cache(kept[-1])[1]
 
 
 def _checksum(file: IO[bytes], end: int) -> bytes:

@@ -26,7 +26,7 @@ from PIL import Image
 
 from skymoor.errors import InputError
 from skymoor.store._atomic import atomic_file, atomic_folder, disk_errors, remove_leftovers
-from skymoor.store._cache import Corrupt, read_cache, write_cache
+from skymoor.store._cache import KEY_LENGTH, STAGES, Corrupt, read_cache, write_cache
 from skymoor.store._closure import defining_modules, fingerprint, name_of
 from skymoor.store._digest import digest, parts_of
 from skymoor.store._files import FileDigests
@@ -38,8 +38,6 @@ from skymoor.types import Photos, Progress, no_progress
 T = TypeVar("T")
 
 LOG = logging.getLogger("skymoor")
-KEY_LENGTH = 12
-STAGES = "stages"
 UNCOUNTED = ("progress", "checkpoint")
 """Options of stages that change how the work goes on, and not what comes of it."""
 
@@ -274,7 +272,7 @@ class Store:
         return replace(record, cached=True), value
 
     def _forget_others(self, name: str, file: Path) -> None:
-        pattern = re.compile(rf"{re.escape(name)}-[0-9a-f]{{{KEY_LENGTH}}}\.(npz|pkl)")
+        pattern = re.compile(rf"{re.escape(name)}-[0-9a-f]{{{KEY_LENGTH}}}\.npz")
         for other in file.parent.iterdir():
             if other != file and pattern.fullmatch(other.name):
                 with suppress(OSError):  # room that is not won back is no reason to stop
