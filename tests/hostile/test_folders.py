@@ -91,7 +91,7 @@ CASES = [
     Case("a key of two lines", more_toml('"a\\nb" = 1\n'), ("site.toml", r"a\nb")),
     Case("a path of zeros", toml('"ortho.tif"', '"a\\u0000b"'), ("site.toml", r"a\x00b")),
     Case("a path too long", toml('"ortho.tif"', f'"{LONG}"'), ("site.toml", "no file")),
-    Case("no photos", toml('[airborne]\nimages = "airborne"', ""), ("site.toml", "no images to place")),
+    Case("no photos", toml('[airborne]\nimages = "airborne"', ""), ("site.toml", "there are no images")),
     Case("ground without airborne", toml("[airborne]", "[[ground]]"), ("site.toml", "[airborne]")),
 ]
 
@@ -123,7 +123,7 @@ def test_a_second_run_in_one_folder_is_told(tmp_path: Path, capsys: pytest.Captu
         (["evaluate", "x" * 300, "--truth", "file"], "File name too long"),
         (["run", "file", "--out", "out"], "not valid TOML"),
         (["run", "--airborne", "x" * 300, "--ortho", "file", "--dsm", "file", "--out", "out"], "no such folder"),
-        (["run", "--ortho", "file", "--dsm", "file", "--out", "out"], "no images to place"),
+        (["run", "--ortho", "file", "--dsm", "file", "--out", "out"], "there are no images"),
         (["run", "--airborne", ".", "--out", "out"], "--ortho"),
         (["run", "--airborne", ".", "--ortho", "file", "--dsm", "file", "--out", "out"], "--ce90"),
         (["weights", "fetch", "nothing"], "nothing"),

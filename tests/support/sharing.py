@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import pickle
 from collections.abc import Callable
 from typing import TypeVar
 
 import pytest
+from filelock import FileLock
 
 T = TypeVar("T")
 
@@ -18,8 +18,7 @@ def shared(factory: pytest.TempPathFactory, name: str, make: Callable[[], T]) ->
     """What `make` gives, from the first worker that asks for it."""
     root = factory.getbasetemp()
     file = (root.parent if "PYTEST_XDIST_WORKER" in os.environ else root) / f"{name}.pkl"
-    with file.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with FileLock(file.with_suffix(".lock")):
         if not file.exists():
             file.write_bytes(pickle.dumps(make()))
     value: T = pickle.loads(file.read_bytes())

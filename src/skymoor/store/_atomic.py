@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -86,6 +87,8 @@ def _umask() -> int:
 
 def _sync_folder(folder: Path) -> None:
     """A rename is only safe from a power cut once the folder itself is on the disk."""
+    if sys.platform == "win32":  # has no descriptors of folders
+        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

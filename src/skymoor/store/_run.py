@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import json
 import logging
@@ -21,6 +20,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 import numpy as np
+from filelock import BaseFileLock
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -30,6 +30,7 @@ from skymoor.store._cache import KEY_LENGTH, STAGES, Corrupt, read_cache, write_
 from skymoor.store._closure import defining_modules, fingerprint, name_of
 from skymoor.store._digest import digest, parts_of
 from skymoor.store._files import FileDigests
+from skymoor.store._lock import LOCK, lock_folder
 from skymoor.store._memory import peak_mib, reset_peak
 from skymoor.store._photos import check_photos, photo_files, photos_from_sizes
 from skymoor.store._plain import plain
@@ -46,7 +47,7 @@ PRODUCTS = (
     *("renders", "matches", "evaluation.json", "report.html", "run.log", STAGES),
 )
 """What skymoor writes into a run directory, or deletes from it."""
-MARKS = (".lock", "summary.json", STAGES)
+MARKS = (LOCK, "summary.json", STAGES)
 """By one of these a folder is known as a run directory."""
 
 
@@ -64,9 +65,9 @@ class StageRecord:
 class Store:
     """One run directory, held by one process. Use `Store.open`; it is also a context manager."""
 
-    def __init__(self, root: Path, lock: int, note: Callable[[str], None]) -> None:
+    def __init__(self, root: Path, lock: BaseFileLock, note: Callable[[str], None]) -> None:
         self.root = root
-        self._lock: int | None = lock
+        self._lock = lock
         self._note = note
         self._records: dict[str, StageRecord] = {}
         self.files = FileDigests(root / STAGES / "files.json")
@@ -83,16 +84,7 @@ class Store:
                 raise InputError(f"{out}: is a file; give a folder for the results with --out")
             _require_no_others_files(out)
             (out / STAGES).mkdir(parents=True, exist_ok=True)
-            lock = os.open(out / ".lock", os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(lock)
-            raise InputError(
-                f"{out}: another run is writing here; wait for it or give another folder with --out"
-            ) from None
-        except OSError as error:
-            note(f"{out}: this file system has no locks ({error.strerror}); do not start a second run here")
+        lock = lock_folder(out, note)
         try:
             with (
                 disk_errors(out),
@@ -100,7 +92,7 @@ class Store:
             ):  # now, not after an hour of work
                 probe.write(b"\0")
         except InputError:
-            os.close(lock)
+            lock.release()
             raise
         remove_leftovers(out)
         return cls(out.resolve(), lock, note)
@@ -108,9 +100,7 @@ class Store:
     def close(self) -> None:
         """Let go of the directory; the end of the process does the same."""
         self.files.save()
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+        self._lock.release()
 
     def __enter__(self) -> Store:
         return self
