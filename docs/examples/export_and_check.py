@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Export a run for nerfstudio and COLMAP, and see whether both mean the same: export_and_check.py RESULT FOLDER.
+"""Export a run for nerfstudio and COLMAP, and check that both agree: export_and_check.py RESULT FOLDER.
 
-Every point of COLMAP's model is projected with nerfstudio's cameras, and compared with where the photo shows it.
+Every point of COLMAP's model is projected with nerfstudio's cameras, and compared with its observation in the photo.
 """
 
 import json
@@ -36,7 +36,7 @@ def main(run: Path, folder: Path) -> float:
 
 
 def projected(xyz: np.ndarray, frame: dict) -> np.ndarray:
-    """Pixels (n, 2) of points (n, 3) in metres of the site, by OpenGL's axes and OpenCV's lens."""
+    """Pixels (n, 2) of points (n, 3) in metres of the site, by OpenGL's axes and OpenCV's distortion model."""
     world_from_cam = np.array(frame["transform_matrix"])
     cam = (xyz - world_from_cam[:3, 3]) @ world_from_cam[:3, :3] * [1.0, -1.0, -1.0]
     x, y = (cam[:, :2] / cam[:, 2:]).T

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulate a small site, place its photos on the Earth, and compare with the truth: place_photos.py FOLDER."""
+"""Simulate a small site, register its photos, and compare with the truth: place_photos.py FOLDER."""
 
 import sys
 from pathlib import Path
@@ -21,22 +21,22 @@ SMALL = SiteOptions(
     reference_width_m=120.0,
     ortho_pixel_m=0.5,
 )
-# Whoever knows how high the drone flew saves time, for every height is searched. Small photos hold few features anyway.
+# A known flying height saves time, because every height is searched. Small photos contain few features.
 FASTER = {"match.min_height_m": 60, "match.max_height_m": 90, "engines.sift.max_features": 2500}
 
 
 def main(folder: Path, site: Path | None = None, options: dict[str, float] = FASTER) -> None:
-    """Results go to FOLDER/result; without a `site` that is there already, one is made in FOLDER/site."""
+    """Results go to FOLDER/result; without an existing `site`, one is made in FOLDER/site."""
     site = site or write_site(World(SMALL), folder / "site").toml
     result = skymoor.register(site, out=folder / "result", options=options, seed=3)
     for component in result.components:
         if component.registered:
             print(f"{component.name}: CE90 {component.ce90_m:.1f} m, LE90 {component.le90_m:.1f} m")
         else:
-            print(f"{component.name}: no place is believed: {component.reason}")
+            print(f"{component.name}: refused: {component.reason}")
     for row in result.evaluate(site.parent / "truth.csv"):
         if row.mean_absolute_m is not None:
-            print(f"{row.set}_{row.component}: in truth {row.mean_absolute_m:.2f} m off, on average")
+            print(f"{row.set}_{row.component}: estimated positions are {row.mean_absolute_m:.2f} m off, on average")
 
 
 if __name__ == "__main__":

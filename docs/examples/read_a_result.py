@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read a finished run: its verdicts, its cameras, and its figures as HTML: read_a_result.py RESULT FOLDER."""
+"""Read a finished run: its status, its cameras, and its figures as HTML: read_a_result.py RESULT FOLDER."""
 
 import sys
 from pathlib import Path

@@ -18,9 +18,5 @@ class DegenerateGeometry(SkymoorError):
     """The data do not determine the answer (collinear points, parallel flight lines, no relief)."""
 
 
-class NotRegistered(SkymoorError):
-    """A model could not be registered, or was refused (exit status 3)."""
-
-
 class BackendUnavailable(SkymoorError):
     """An optional engine is not installed or its weights are missing; the message says what to do."""

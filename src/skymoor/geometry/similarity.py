@@ -73,11 +73,6 @@ class Similarity:
         )
         return cast(Array, quaternion)
 
-    @property
-    def rotation_angle_deg(self) -> float:
-        """Angle of the rotation about its own axis, 0 to 180 degrees."""
-        return float(np.degrees(scipy.spatial.transform.Rotation.from_matrix(self.rotation).magnitude()))
-
     def matrix(self) -> Array:
         """Homogeneous matrix (4, 4)."""
         matrix = np.eye(4)

@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
-
 import numpy as np
 import pytest
 import torch
@@ -103,12 +100,6 @@ def test_gradient_of_the_points_is_that_of_the_interpolation() -> None:
         shift[0, axis] = step
         numeric = (grid(cell + shift).sum() - grid(cell - shift).sum()) / (2 * step)
         assert slope[0, axis].item() == pytest.approx(numeric.item(), rel=0.02, abs=0.05)
-
-
-def test_a_grid_survives_copies() -> None:
-    grid, xyz = make_grid(), points(20)
-    for other in (copy.deepcopy(grid), pickle.loads(pickle.dumps(grid))):
-        torch.testing.assert_close(other(xyz), grid(xyz), rtol=0, atol=0)
 
 
 def test_without_a_compiler_the_look_up_stays_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:

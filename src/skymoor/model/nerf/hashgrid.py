@@ -107,14 +107,6 @@ class HashGrid(nn.Module):
                     weights.append(plan * (fraction if k else gaps)[2])
         return torch.stack(rows, dim=-1), torch.stack(weights, dim=-1), fraction
 
-    def __getstate__(self) -> dict[str, Any]:
-        # What was compiled cannot be stored, and need not.
-        return {key: value for key, value in self.__dict__.items() if key != "_corners"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state)  # type: ignore[no-untyped-call]
-        self._corners = self._eager_corners
-
 
 class _OneCorner(torch.autograd.Function):
     """Interpolation whose backward pass gives the gradient to one corner per cell, into the table's own buffer."""
