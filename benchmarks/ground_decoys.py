@@ -91,7 +91,7 @@ def row(
 ) -> dict[str, Any]:
     """One component on one airborne model: the decision, and each answer with how far off it is."""
     found = answers.decide()
-    off = [None] * len(answers.places) if other != run else offsets_m(run, maps, answers)
+    off = [None] * len(answers.similarities) if other != run else offsets_m(run, maps, answers)
     contrasts = [round(candidate.contrast, 2) for candidate in answers.candidates]
     wrong = [c for c, m in zip(contrasts, off, strict=True) if m is None or m > RIGHT_M]
     right = [c for c, m in zip(contrasts, off, strict=True) if m is not None and m <= RIGHT_M]
@@ -121,7 +121,7 @@ def offsets_m(run: Path, maps: list[DepthMap], answers: WallHypotheses) -> list[
     true = {t.image: frame.enu_from_lla(t.lat, t.lon, t.height).ravel() for t in read_truth_csv(run / "site/truth.csv")}
     wanted = np.array([true[m.camera.image] for m in maps]) + np.array(truth["bias_m"])
     centres = np.array([m.camera.centre for m in maps])
-    return [round(float(np.median(np.linalg.norm(p.apply(centres) - wanted, axis=1))), 2) for p in answers.places]
+    return [round(float(np.median(np.linalg.norm(p.apply(centres) - wanted, axis=1))), 2) for p in answers.similarities]
 
 
 def show(rows: list[dict[str, Any]]) -> None:

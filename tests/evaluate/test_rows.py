@@ -140,5 +140,5 @@ def test_mistakes_in_the_lists() -> None:
         evaluate(found, [*known, known[0]], FRAME, COVARIANCE, {})
     with pytest.raises(InputError, match=r"air/2\.jpg more than once"):
         evaluate([*found, found[2]], known, FRAME, COVARIANCE, {})
-    with pytest.raises(InputError, match=r"air/0\.jpg counts as placed but has no position"):
+    with pytest.raises(InputError, match=r"air/0\.jpg counts as registered but has no position"):
         evaluate([replace(found[0], lat=None)], known, FRAME, COVARIANCE, {})

@@ -126,6 +126,6 @@ def test_the_surer_one_stays_and_nothing_is_lost_without_components(
 def test_what_speaks_for_each_place_is_told_in_their_order() -> None:
     found = answers((60.0, HERE), (20.0, into_the_way()))
     assert found.evidence == [candidate.contrast for candidate in found.candidates]
-    assert found.evidence[0] > found.evidence[1] and len(found.places) == 2
+    assert found.evidence[0] > found.evidence[1] and len(found.similarities) == 2
     assert OneHypothesis(Registration(True, "", HERE, n_inliers=70)).evidence == [70.0]
     assert OneHypothesis(Registration(False, "too few", None)).evidence == []

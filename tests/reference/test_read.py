@@ -276,7 +276,7 @@ class TestBadInput:
 
     def test_unknown_datum(self, ortho: Path, dsm: Path) -> None:
         write(dsm, np.zeros((1, 9, 9), np.float32), layout("EPSG:32632", 1.0)[0], "+proj=utm +zone=32 +ellps=bessel")
-        self.refused(ortho, dsm, r"dsm\.tif: no transformation is known")
+        self.refused(ortho, dsm, r"dsm\.tif: PROJ has no transformation")
 
     def test_no_overlap(self, ortho: Path, dsm: Path) -> None:
         write(dsm, np.zeros((1, 9, 9), np.float32), rasterio.Affine(1, 0, 600_000, 0, -1, 5_000_000), "EPSG:32632")
@@ -305,7 +305,7 @@ class TestBadInput:
             return bands
 
         rewrite(dsm, spoil)
-        self.refused(ortho, dsm, r"dsm\.tif: 1 heights are not on Earth.*gdal_edit -a_nodata")
+        self.refused(ortho, dsm, r"dsm\.tif: 1 heights are impossible.*gdal_edit -a_nodata")
 
     def test_heights_in_centimetres(self, ortho: Path, dsm: Path) -> None:
         rewrite(dsm, lambda bands: bands * 100)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare placed cameras with the truth."""
+"""Comparison of registered cameras with ground truth."""
 
 from skymoor.evaluate.rows import Estimate, EvaluationRow, Truth, evaluate
 

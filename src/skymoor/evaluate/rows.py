@@ -25,10 +25,10 @@ NAMED_IN_MESSAGE = 3
 
 @dataclass(frozen=True)
 class Estimate:
-    """One line of cameras.csv: WGS 84 degrees and ellipsoidal metres, all None where the camera is not placed.
+    """One line of cameras.csv: WGS 84 degrees and ellipsoidal metres, all None where the camera is not registered.
 
-    `component` is None for an image that no reconstruction took; `ce90`, `le90` are the predicted accuracy in metres,
-    and `relative_ce90`, `relative_le90` that without the error of the reference.
+    `component` is None for an image that is in no reconstruction; `ce90`, `le90` are the predicted accuracy in metres,
+    `relative_ce90`, `relative_le90` the same without the error of the reference.
     """
 
     image: str
@@ -58,13 +58,13 @@ class Truth:
 class EvaluationRow:
     """One component against the truth. Metres, except the two Mahalanobis distances and the two shares of cameras.
 
-    The error is split: the bias is the mean error vector, which holds the reference's own error; what is left without
-    it is relative; and of that, what no similarity mends is the reconstruction's. The shares are of the cameras whose
-    horizontal error is within their predicted CE90, and whose vertical error is within their LE90. (They share the
-    reference's error: of one component, most are within or most are not.)
+    The error is split: the bias is the mean error vector, which includes the reference's own error; the relative error
+    is what remains without it; the part of that which no similarity removes is the reconstruction's. The shares are of
+    the cameras whose horizontal error is within their predicted CE90, and whose vertical error is within their LE90.
+    (They share the reference's error: of one component, most are within or most are not.)
 
-    Every measure is None where the component is not placed; `rmse_procrustes_m` also where fewer than three cameras
-    or cameras on one line leave the fit open. `n_truth` counts the component's cameras that the truth knows.
+    Every measure is None where the component is not registered; `rmse_procrustes_m` also where fewer than three cameras
+    or collinear ones do not determine the fit. `n_truth` counts the component's cameras that are in the truth.
     """
 
     set: str
@@ -102,14 +102,14 @@ def evaluate(
 ) -> list[EvaluationRow]:
     """One row for each set and component, in the order of their first camera.
 
-    `covariance` (3, 3) m^2 is what the errors are measured against, east-north-up of `frame`: the reference's, or the
+    `covariance` (3, 3) m^2, east-north-up of `frame`, normalises the Mahalanobis distances: the reference's, or the
     predicted one. `scene_centres` gives, by (set, component), the point (3,) ENU that the standoff is measured to; a
     component without one has no standoff. Images without a component are left out.
 
-    Raises `InputError` when an image is listed twice, or a placed camera has no truth.
+    Raises `InputError` when an image is listed twice, or a registered camera has no truth.
     """
-    _no_doubles([truth.image for truth in truths], "the truth")
-    _no_doubles([estimate.image for estimate in estimates], "the cameras")
+    _require_unique([truth.image for truth in truths], "the truth")
+    _require_unique([estimate.image for estimate in estimates], "the cameras")
     lla = np.array([(truth.lat, truth.lon, truth.height) for truth in truths]).reshape(-1, 3)
     enu = frame.enu_from_lla(lla[:, 0], lla[:, 1], lla[:, 2]) if truths else np.zeros((0, 3))
     truth_enu = {truth.image: position for truth, position in zip(truths, enu, strict=True)}
@@ -128,12 +128,12 @@ def _row(
     covariance: Array,
     scene_centre: Array | None,
 ) -> EvaluationRow:
-    # A camera that contradicts its component has no place; the others have.
-    placed = [estimate for estimate in group if estimate.registered]
+    # A camera that contradicts its component has no position; the others have.
+    registered = [estimate for estimate in group if estimate.registered]
     n_truth = sum(estimate.image in truth_enu for estimate in group)
-    if not placed:
+    if not registered:
         return EvaluationRow(*name, "NOT_REGISTERED", len(group), n_truth)
-    group = placed
+    group = registered
     missing = [estimate.image for estimate in group if estimate.image not in truth_enu]
     if missing:
         shown = ", ".join(missing[:NAMED_IN_MESSAGE]) + (", ..." if len(missing) > NAMED_IN_MESSAGE else "")
@@ -141,8 +141,8 @@ def _row(
             f"the truth lacks {len(missing)} of {len(group)} images of {name[0]} component {name[1]}: {shown}; "
             "name them relative to the site's folder"
         )
-    found, truth = _positions(group, frame), np.array([truth_enu[estimate.image] for estimate in group])
-    errors = found - truth
+    positions, truth = _positions(group, frame), np.array([truth_enu[estimate.image] for estimate in group])
+    errors = positions - truth
     horizontal, vertical = np.linalg.norm(errors[:, :2], axis=1), np.abs(errors[:, 2])
     bias = errors.mean(axis=0)
     absolute, relative = np.linalg.norm(errors, axis=1), np.linalg.norm(errors - bias, axis=1)
@@ -157,10 +157,10 @@ def _row(
         mean_vertical_m=float(vertical.mean()),
         mean_relative_m=float(relative.mean()),
         median_relative_m=float(np.median(relative)),
-        rmse_procrustes_m=_rmse_procrustes(found, truth),
+        rmse_procrustes_m=_rmse_procrustes(positions, truth),
         mahalanobis_of_mean=float(mahalanobis(bias[None], covariance)[0]),
         mean_mahalanobis=float(mahalanobis(errors, covariance).mean()),
-        standoff_m=None if scene_centre is None else float(np.linalg.norm(found - scene_centre, axis=1).mean()),
+        standoff_m=None if scene_centre is None else float(np.linalg.norm(positions - scene_centre, axis=1).mean()),
         predicted_ce90_m=_mean([estimate.ce90 for estimate in group]),
         predicted_le90_m=_mean([estimate.le90 for estimate in group]),
         bias_east_m=float(bias[0]),
@@ -177,17 +177,19 @@ def _positions(group: Sequence[Estimate], frame: EnuFrame) -> Array:
     lla = np.array([(estimate.lat, estimate.lon, estimate.height) for estimate in group], dtype=np.float64)
     for estimate, row in zip(group, lla, strict=True):
         if not np.isfinite(row).all():
-            raise InputError(f"the camera {estimate.image} counts as placed but has no position")
+            raise InputError(
+                f"the camera {estimate.image} counts as registered but has no position; check its line in cameras.csv"
+            )
     return frame.enu_from_lla(lla[:, 0], lla[:, 1], lla[:, 2])
 
 
-def _rmse_procrustes(found: Array, truth: Array) -> float | None:
-    """What no similarity can mend: the shape error of the reconstruction itself."""
+def _rmse_procrustes(positions: Array, truth: Array) -> float | None:
+    """RMSE (m) after the best similarity: the shape error of the reconstruction itself; None if it is undetermined."""
     try:
-        truth_from_found = umeyama(found, truth)
+        truth_from_found = umeyama(positions, truth)
     except (DegenerateGeometry, TooFewMatches):
         return None
-    residuals = truth_from_found.apply(found) - truth
+    residuals = truth_from_found.apply(positions) - truth
     return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
 
 
@@ -201,7 +203,7 @@ def _share_within(errors: Array, limits: Sequence[float | None]) -> float | None
     return float(np.mean(known)) if known else None
 
 
-def _no_doubles(images: Sequence[str], where: str) -> None:
+def _require_unique(images: Sequence[str], where: str) -> None:
     doubles = [image for image, count in Counter(images).items() if count > 1]
     if doubles:
         raise InputError(f"{where} list the image {doubles[0]} more than once; keep one line")

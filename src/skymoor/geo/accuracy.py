@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CE90 and LE90, the accuracy figures of mapping, to and from covariances in east, north, up."""
+"""CE90 and LE90, the accuracy measures of mapping, to and from covariances in east, north, up."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def covariance_from_ce90_le90(ce90_m: float, le90_m: float) -> Array:
 def ce90_m(covariance: ArrayLike) -> float:
     """Radius in metres that holds 90 % of the horizontal errors of a covariance (2, 2) or (3, 3) in m^2.
 
-    Exact for every ellipse: the probability inside a circle is one smooth integral, solved for 90 %.
+    Exact for every error ellipse: the probability inside a circle is one smooth integral, solved for 90 %.
     """
     plan = np.asarray(covariance, dtype=np.float64)[:2, :2]
     minor, major = np.sqrt(np.maximum(np.linalg.eigvalsh((plan + plan.T) / 2.0), 0.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vertical datums: heights above the WGS 84 ellipsoid from what a DSM holds. Nothing is guessed."""
+"""Vertical datums: heights above the WGS 84 ellipsoid from the heights of a DSM. No datum is assumed."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def ellipsoidal_heights(lat: ArrayLike, lon: ArrayLike, height: ArrayLike, verti
     """Heights (n,) in metres above the WGS 84 ellipsoid of heights (n,) in a vertical datum, at WGS 84 degrees (n,).
 
     `vertical_datum` is "ellipsoid" or a vertical CRS such as "EPSG:3855"; `height` is in the unit of that CRS.
-    NaN heights stay NaN. Raises `InputError` when the datum is unknown, when PROJ has no way to it without a geoid
+    NaN heights stay NaN. Raises `InputError` when the datum is unknown, when every transformation of PROJ needs a geoid
     grid that is not installed (the message names the file), or when the grid does not cover a position.
     """
     return ellipsoid_from_datum(vertical_datum, lat, lon)(lat, lon, height)
 
 
 def ellipsoid_from_datum(vertical_datum: str, lat: ArrayLike, lon: ArrayLike) -> Heights:
-    """`ellipsoidal_heights` for a site: one choice among PROJ's ways, for the area of the positions (n,) in degrees."""
+    """`ellipsoidal_heights` for a site: one transformation of PROJ for the area of the positions (n,) in degrees."""
     crs = _vertical_crs(vertical_datum)
     if crs is None:
         return lambda lat, lon, height: np.array(_broadcast(lat, lon, height)[2])
@@ -51,13 +51,13 @@ def ellipsoid_from_datum(vertical_datum: str, lat: ArrayLike, lon: ArrayLike) ->
     def heights(lat: ArrayLike, lon: ArrayLike, height: ArrayLike) -> Array:
         lats, lons, own = _broadcast(lat, lon, height)
         known = np.isfinite(own)
-        moved = np.asarray(transformer.transform(lons, lats, np.where(known, own, 0.0))[2], dtype=np.float64)
-        if not np.isfinite(moved).all():
+        converted = np.asarray(transformer.transform(lons, lats, np.where(known, own, 0.0))[2], dtype=np.float64)
+        if not np.isfinite(converted).all():
             raise InputError(
                 f"vertical datum {vertical_datum} ({crs.name}): its geoid grid does not cover latitude "
                 f"{lats.ravel()[0]:.4f}, longitude {lons.ravel()[0]:.4f}; convert the DSM to ellipsoidal heights"
             )
-        return np.where(known, moved, np.nan)
+        return np.where(known, converted, np.nan)
 
     return heights
 
@@ -68,16 +68,19 @@ def datum_from_ellipsoid(lat: ArrayLike, lon: ArrayLike, height: ArrayLike, vert
     lats, lons, own = _broadcast(lat, lon, height)
     if crs is None:
         return np.array(own)
-    moved = _transformer(crs, vertical_datum, lats, lons).transform(lons, lats, own, direction="INVERSE")[2]
-    if not np.isfinite(moved).all():
-        raise InputError(f"vertical datum {vertical_datum} ({crs.name}): its geoid grid does not cover the site")
-    return np.asarray(moved, dtype=np.float64)
+    converted = _transformer(crs, vertical_datum, lats, lons).transform(lons, lats, own, direction="INVERSE")[2]
+    if not np.isfinite(converted).all():
+        raise InputError(
+            f"vertical datum {vertical_datum} ({crs.name}): its geoid grid does not cover the site; "
+            "choose another vertical datum"
+        )
+    return np.asarray(converted, dtype=np.float64)
 
 
 def vertical_datum_of(crs: Any) -> str | None:
     """The vertical datum that the CRS of a DSM carries: "ellipsoid", an EPSG code, WKT without one, or None.
 
-    `crs` is whatever pyproj reads, or a CRS with `to_wkt`.
+    `crs` is anything that pyproj accepts, or a CRS with `to_wkt`.
     """
     crs = CRS.from_user_input(crs)
     if crs.is_compound:
@@ -87,7 +90,7 @@ def vertical_datum_of(crs: Any) -> str | None:
 
 
 def same_vertical_datum(a: str, b: str) -> bool:
-    """Whether two vertical datums, as `ellipsoidal_heights` takes them, are one."""
+    """Whether two vertical datums, as accepted by `ellipsoidal_heights`, are the same."""
     return _vertical_crs(a) == _vertical_crs(b)
 
 
@@ -125,13 +128,13 @@ def _vertical_crs(vertical_datum: str) -> CRS | None:
 
 
 def _transformer(vertical: CRS, vertical_datum: str, lat: Array, lon: Array) -> Transformer:
-    """PROJ's best installed way from the datum to the ellipsoid, or an `InputError` that names the missing grid."""
+    """PROJ's best installed transformation from the datum to the ellipsoid; `InputError` with the missing grid."""
     area = AreaOfInterest(float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max()))
     with warnings.catch_warnings():
-        # pyproj warns that a better grid exists somewhere; which ones are missing is told below, as an error.
+        # pyproj warns that a better grid exists somewhere; which ones are missing is reported below, as an error.
         warnings.simplefilter("ignore")
         try:
-            # Without ballpark operations: those pass heights through unchanged where no geoid is at hand.
+            # Without ballpark operations: those pass heights through unchanged where no geoid grid is installed.
             group = TransformerGroup(
                 CompoundCRS("site", [CRS("EPSG:4326"), vertical]),
                 CRS("EPSG:4979"),
@@ -144,13 +147,13 @@ def _transformer(vertical: CRS, vertical_datum: str, lat: Array, lon: Array) -> 
     if group.transformers:
         return group.transformers[0]
     missing = [[grid for grid in operation.grids if not grid.available] for operation in group.unavailable_operations]
-    # The ways that one file opens come first, and of those the ones that PROJ offers for download.
+    # Transformations that need one file come first, and of those the ones that PROJ offers for download.
     missing.sort(key=lambda grids: (len(grids) > 1, not all(grid.url for grid in grids)))
     files = list(dict.fromkeys(grids[0].short_name for grids in missing if grids))
     if not files:
         raise InputError(
-            f"vertical datum {vertical_datum} ({vertical.name}): PROJ knows no way from it to ellipsoidal heights "
-            "at the site; convert the DSM, or check the code"
+            f"vertical datum {vertical_datum} ({vertical.name}): PROJ has no transformation from it to "
+            "ellipsoidal heights at the site; convert the DSM to ellipsoidal heights, or check the code"
         )
     others = f" (or one of {', '.join(files[1:5])})" if len(files) > 1 else ""
     raise InputError(

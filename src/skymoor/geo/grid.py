@@ -26,7 +26,7 @@ class Grid:
 
     def __post_init__(self) -> None:
         if not np.isfinite([self.east0, self.north0, self.pixel_m]).all() or self.pixel_m <= 0 or min(self.shape) < 1:
-            raise ValueError(f"not a grid: {self}")
+            raise ValueError(f"not a grid (finite origin, positive pixel and shape are required): {self}")
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -56,7 +56,7 @@ def sample(raster: NDArray[np.floating], px: ArrayLike) -> Array:
     """Bilinear values (n,) of a raster (h, w) at pixel coordinates (n, 2), first pixel centre at (0.5, 0.5).
 
     A value is NaN when any of the four neighbours that carries weight is NaN or outside the raster: heights are
-    never blended with what is not known.
+    never interpolated with unknown ones.
     """
     rows, columns = raster.shape
     uv = np.asarray(px, dtype=np.float64).reshape(-1, 2) - 0.5

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry in float64 that knows neither images nor maps."""
+"""Geometry in float64, independent of images and maps."""
 
 from skymoor.geometry.adjust import gauge_centre, point_covariance, refine_similarity, tilt_deg
 from skymoor.geometry.camera import Intrinsics

@@ -18,7 +18,7 @@ from skymoor.geometry.similarity import Similarity
 Array = NDArray[np.float64]
 Loss = Literal["tukey", "huber"]
 
-# Where the losses give way, in standard deviations of a 3D residual: 95 % efficiency under Gaussian noise.
+# Tuning constants of the losses, in standard deviations of a 3D residual: 95 % efficiency under Gaussian noise.
 TUKEY_CUT = 5.49
 HUBER_CUT = 1.63
 CONDITION = 1e-10
@@ -37,23 +37,23 @@ def refine_similarity(
     """Adjust all 7 parameters by reweighted Gauss-Newton; returns transform, covariance (7, 7) and weights (n,).
 
     `source`, `target` (n, 3); `sigma_m` is the standard deviation of a correspondence in the target frame, one
-    number or one per axis, and sets where the loss gives way. With `tilt_sigma_deg`, the tilt of the transform
+    number or one per axis, and scales the loss. With `tilt_sigma_deg`, the tilt of the transform
     away from level counts as an observation of zero with that standard deviation, about each horizontal axis.
 
     Gauge of the covariance: the true transform is x -> c + t + exp(l) exp([w]) (T(x) - c) with T the returned one,
     and the covariance is of (l, w in radians, t in metres), all in the target frame. The fixed point c is
     `gauge_centre(T, source, weights)`, the weighted centroid, which makes t nearly independent of the rest.
-    `point_covariance` carries it to any place. The covariance follows M-estimation theory (Huber 1981) for the
-    loss, scaled by the a-posteriori variance factor, and never by less than what `sigma_m` promises.
+    `point_covariance` propagates it to any point. The covariance follows M-estimation theory (Huber 1981) for the
+    loss, scaled by the a-posteriori variance factor, and is never smaller than `sigma_m` implies.
 
     Raises `TooFewMatches` when fewer correspondences than needed lie near the initial transform (3, or 2 with the
-    tilt observation) and `DegenerateGeometry` when they leave a parameter open.
+    tilt observation) and `DegenerateGeometry` when they do not determine all parameters.
     """
     problem = _Problem.from_points(source, target, sigma_m, loss, tilt_sigma_deg)
     current = initial
     for _ in range(iterations):
         step, centre, size = problem.step(current)
-        current = _moved(current, step, centre)
+        current = _updated(current, step, centre)
         if np.linalg.norm(step * [size, size, size, size, 1, 1, 1]) < 1e-9 * problem.sigma.min():
             break
     weights = problem.weights(problem.lengths(current))
@@ -85,7 +85,7 @@ def gauge_centre(transform: Similarity, source: ArrayLike, weights: ArrayLike) -
 
 
 def point_covariance(covariance: Array, centre: Array, points: ArrayLike) -> Array:
-    """Covariances (n, 3, 3) in m^2 of moved points (n, 3) of the target frame, from the (7, 7) one and its centre."""
+    """Covariances (n, 3, 3) in m^2 of points (n, 3) in the target frame, from the (7, 7) one and its centre."""
     jacobian = _jacobian(np.asarray(points, dtype=np.float64).reshape(-1, 3) - centre)
     return jacobian @ covariance @ np.swapaxes(jacobian, 1, 2)
 
@@ -112,7 +112,7 @@ class _Problem:
         if xyz_source.ndim != 2 or xyz_source.shape[1] != 3 or xyz_source.shape != xyz_target.shape:
             raise ValueError(f"source {xyz_source.shape} and target {xyz_target.shape} must both be (n, 3)")
         if not (np.isfinite(xyz_source).all() and np.isfinite(xyz_target).all()):
-            raise DegenerateGeometry("correspondences with values that are not finite")
+            raise DegenerateGeometry("the correspondences must have finite coordinates")
         sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (3,))
         if not (sigma > 0).all() or not np.isfinite(sigma).all():
             raise ValueError(f"sigma_m must be positive, not {sigma}")
@@ -130,19 +130,19 @@ class _Problem:
         return _weights(self.loss, lengths)
 
     def step(self, transform: Similarity) -> tuple[Array, Array, float]:
-        """Gauss-Newton step (7,), the point it turns about, and the radius of the data around that point."""
-        weights = self._needed_weights(transform)
+        """Gauss-Newton step (7,), its fixed point (3,), and the radius of the data around that point."""
+        weights = self._checked_weights(transform)
         centre = gauge_centre(transform, self.source, weights)
-        moved = transform.apply(self.source)
+        transformed = transform.apply(self.source)
         root = np.sqrt(weights)[:, None] / self.sigma
-        jacobian = (_jacobian(moved - centre) * root[:, :, None]).reshape(-1, 7)
-        right = jacobian.T @ ((self.target - moved) * root).ravel()
+        jacobian = (_jacobian(transformed - centre) * root[:, :, None]).reshape(-1, 7)
+        right = jacobian.T @ ((self.target - transformed) * root).ravel()
         tilt_normal, tilt_right = self._tilt_equations(transform)
-        size = _radius(moved - centre, weights)
+        size = _radius(transformed - centre, weights)
         return _inverse(jacobian.T @ jacobian + tilt_normal, size) @ (right + tilt_right), centre, size
 
     def covariance(self, transform: Similarity) -> Array:
-        weights = self._needed_weights(transform)
+        weights = self._checked_weights(transform)
         points = transform.apply(self.source) - gauge_centre(transform, self.source, weights)
         root = np.sqrt(weights)[:, None] / self.sigma
         jacobian = (_jacobian(points) * root[:, :, None]).reshape(-1, 7)
@@ -158,28 +158,28 @@ class _Problem:
         return _inverse(jacobian.T @ jacobian / factor + tilt_normal, _radius(points, weights))
 
     def sandwich(self, transform: Similarity, correlated: Sequence[Array]) -> tuple[Array, Array]:
-        weights = self._needed_weights(transform)
+        weights = self._checked_weights(transform)
         centre = gauge_centre(transform, self.source, weights)
         points = transform.apply(self.source) - centre
         jacobian = _jacobian(points)
         slope = max(float(_slopes(self.loss, self.lengths(transform)).sum() / weights.sum()), 0.1)
-        pulls = jacobian * (weights[:, None] / self.sigma**2)[:, :, None]
-        normal = slope * np.einsum("nij,nik->jk", pulls, jacobian)
-        spread = sum(pulls[:, axis].T @ correlated[axis] @ pulls[:, axis] for axis in range(3))
+        scores = jacobian * (weights[:, None] / self.sigma**2)[:, :, None]
+        normal = slope * np.einsum("nij,nik->jk", scores, jacobian)
+        spread = sum(scores[:, axis].T @ correlated[axis] @ scores[:, axis] for axis in range(3))
         tilt_normal, _ = self._tilt_equations(transform)
         inverse = _inverse(normal + tilt_normal, _radius(points, weights))
         return inverse @ (spread + tilt_normal) @ inverse, centre
 
-    def _needed_weights(self, transform: Similarity) -> Array:
+    def _checked_weights(self, transform: Similarity) -> Array:
         weights = self.weights(self.lengths(transform))
         needed = 3 if self.tilt_sigma is None else 2
         near = int(np.count_nonzero(weights > 1e-6))
         if near < needed:
-            raise TooFewMatches(f"{near} correspondences agree with the transform, at least {needed} are needed")
+            raise TooFewMatches(f"{near} correspondences agree with the transform; at least {needed} are required")
         return weights
 
     def _tilt_equations(self, transform: Similarity) -> tuple[Array, Array]:
-        """Normal equations of the observation that the turned z axis has no horizontal part."""
+        """Normal equations of the observation that the rotated z axis has no horizontal part."""
         if self.tilt_sigma is None:
             return np.zeros((7, 7)), np.zeros(7)
         axis = transform.rotation[:, 2]
@@ -188,7 +188,7 @@ class _Problem:
         return jacobian.T @ jacobian, jacobian.T @ (-axis[:2] / self.tilt_sigma)
 
 
-def _moved(transform: Similarity, step: Array, centre: Array) -> Similarity:
+def _updated(transform: Similarity, step: Array, centre: Array) -> Similarity:
     scale = float(np.exp(step[0]))
     rotation = scipy.spatial.transform.Rotation.from_rotvec(step[1:4]).as_matrix()
     about_centre = Similarity(scale, rotation, centre + step[4:] - scale * (rotation @ centre))
@@ -217,11 +217,11 @@ def _radius(points: Array, weights: Array) -> float:
 
 
 def _inverse(normal: Array, size: float) -> Array:
-    """Inverse of normal equations (7, 7), balanced so that metres and radians compare."""
+    """Inverse of normal equations (7, 7), scaled so that metres and radians are comparable."""
     balance = np.array([1.0 / size] * 4 + [1.0] * 3)
     values, vectors = np.linalg.eigh(normal * balance[:, None] * balance)
     if not values[0] > CONDITION * values[-1]:
-        raise DegenerateGeometry("the correspondences leave a parameter of the similarity open (all on one line?)")
+        raise DegenerateGeometry("the correspondences do not determine the similarity (all on one line?)")
     return cast(Array, (vectors / values) @ vectors.T * balance[:, None] * balance)
 
 

@@ -37,7 +37,7 @@ class Intrinsics:
         if len(values) != 8:
             raise ValueError("distortion is (k1, k2, p1, p2)")
         if not np.isfinite(values).all() or self.fx <= 0 or self.fy <= 0 or self.width < 1 or self.height < 1:
-            raise DegenerateGeometry(f"not a camera: {self}")
+            raise DegenerateGeometry(f"a camera needs a size, positive focal lengths and finite values: {self}")
 
     def matrix(self) -> Array:
         """Pixels from unit-z rays (3, 3), first pixel centre at (0.5, 0.5)."""
@@ -51,18 +51,18 @@ class Intrinsics:
     def max_radius(self) -> float:
         """Undistorted radius (unit-z plane) up to which the radial distortion grows; infinite if it always does.
 
-        Beyond it the polynomial folds back and would put far points into the image.
+        Beyond it the polynomial is not invertible and would project far points into the image.
         """
         k1, k2 = self.distortion[:2]
         # d/dr of r + k1 r^3 + k2 r^5, as a polynomial of r^2.
         roots = np.roots([5.0 * k2, 3.0 * k1, 1.0])
-        turns = roots[(np.abs(roots.imag) < 1e-12 * np.abs(roots)) & (roots.real > 0)].real
-        return float(np.sqrt(turns.min())) if turns.size else float("inf")
+        turning_points = roots[(np.abs(roots.imag) < 1e-12 * np.abs(roots)) & (roots.real > 0)].real
+        return float(np.sqrt(turning_points.min())) if turning_points.size else float("inf")
 
     def px_from_cam(self, points: ArrayLike) -> Array:
         """Project points (n, 3) of the camera frame (x right, y down, z forward) to pixels (n, 2).
 
-        Gives NaN behind the camera and beyond `max_radius`, where no light ray exists; the image border is not
+        Gives NaN behind the camera and beyond `max_radius`, where the model is not valid; the image border is not
         tested.
         """
         xyz_cam = np.asarray(points, dtype=np.float64).reshape(-1, 3)
@@ -84,7 +84,7 @@ class Intrinsics:
             start = cv2.undistortPoints(
                 xy[:, None, :], np.eye(3), np.array(self.distortion), R=np.eye(3), P=np.eye(3), criteria=criteria
             )
-            xy = self._polish(np.asarray(start, dtype=np.float64).reshape(-1, 2), xy)
+            xy = self._newton(np.asarray(start, dtype=np.float64).reshape(-1, 2), xy)
         return np.column_stack([xy, np.ones(len(uv))])
 
     def resized(self, width: int, height: int) -> Intrinsics:
@@ -112,7 +112,7 @@ class Intrinsics:
         dy = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
         return np.column_stack([x * radial + dx, y * radial + dy])
 
-    def _polish(self, xy: Array, distorted: Array) -> Array:
+    def _newton(self, xy: Array, distorted: Array) -> Array:
         """Newton steps: OpenCV's fixed-point iteration converges slowly under strong distortion."""
         k1, k2, p1, p2 = self.distortion
         for _ in range(5):
@@ -124,7 +124,7 @@ class Intrinsics:
             d = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
             gap = distorted - self._distort(xy, r2)
             det = a * d - b * b
-            # Near the fold of the polynomial a Newton step would jump to the other branch: keep OpenCV's answer there.
+            # Near the turning point of the polynomial a Newton step would change branches: keep OpenCV's solution.
             safe = det > 1e-3
             det = np.where(safe, det, 1.0)
             step = np.column_stack([d * gap[:, 0] - b * gap[:, 1], a * gap[:, 1] - b * gap[:, 0]]) / det[:, None]

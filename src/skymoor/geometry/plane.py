@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planes and their robust fit to a cloud."""
+"""Planes and their robust fit to a point cloud."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Mask = NDArray[np.bool_]
 
 BATCH = 512
 MAX_TRIALS = 20_000
-# Points on which every hypothesis is scored; a plane needs no more to be told from another.
+# Points on which every hypothesis is scored; enough to rank planes.
 SCREEN_POINTS = 2000
 FLATNESS = 1e-7
 
@@ -56,11 +56,11 @@ def fit_plane_ransac(
 
     `threshold` has the unit of the points. `weights` (n,), not negative, count in the score and in the last fit;
     a point of weight 0 is never sampled. `max_tilt_from` = (direction (3,), degrees) admits only planes whose
-    normal, taken to the side of the direction, is that close to it; otherwise the normal points to z >= 0.
+    normal, oriented towards the direction, is that close to it; otherwise the normal points to z >= 0.
     The score is the truncated squared distance (MSAC), the last fit is by least squares on the inliers.
 
-    Raises `TooFewMatches` below 3 points and `DegenerateGeometry` for points on one line or when no plane obeys
-    the limit of tilt.
+    Raises `TooFewMatches` below 3 points and `DegenerateGeometry` for points on one line or when no plane is
+    within the limit of tilt.
     """
     xyz, w = _checked(points, weights, threshold)
     used = np.flatnonzero(w > 0)
@@ -104,7 +104,7 @@ class _Limit:
         direction = np.asarray(max_tilt_from[0], dtype=np.float64)
         length = float(np.linalg.norm(direction))
         if direction.shape != (3,) or not np.isfinite(length) or length == 0:
-            raise DegenerateGeometry("the direction that limits the tilt must be a finite vector (3,) with a length")
+            raise DegenerateGeometry("the direction that limits the tilt must be a finite, non-zero vector (3,)")
         return cls(direction / length, float(np.cos(np.radians(max_tilt_from[1]))))
 
 
@@ -124,7 +124,7 @@ def _planes(cloud: Array, rng: np.random.Generator, limit: _Limit) -> tuple[Arra
 def _refitted(
     cloud: Array, weights: Array, start: tuple[Array, float], threshold: float, limit: _Limit
 ) -> tuple[Array, float]:
-    """Least squares on the inliers, repeated as they settle; the start where that breaks the limit of tilt."""
+    """Least squares on the inliers, repeated until they are stable; the start where that exceeds the limit of tilt."""
     normal, offset = start
     for _ in range(5):
         near = np.abs(cloud @ normal - offset) <= threshold
@@ -150,9 +150,9 @@ def _checked(points: ArrayLike, weights: ArrayLike | None, threshold: float) -> 
     if w.shape != (len(xyz),) or not np.isfinite(w).all() or (w < 0).any():
         raise ValueError("weights must be (n,), finite and not negative")
     if np.count_nonzero(w) < 3:
-        raise TooFewMatches(f"{np.count_nonzero(w)} points, a plane needs at least 3")
+        raise TooFewMatches(f"{np.count_nonzero(w)} points; a plane needs at least 3")
     if not np.isfinite(xyz).all():
-        raise DegenerateGeometry("points with values that are not finite")
+        raise DegenerateGeometry("the points must have finite coordinates")
     return xyz, w
 
 
@@ -160,4 +160,4 @@ def _require_plane(cloud: Array) -> None:
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(cloud.T)), 0.0))
     # The root of a rounded variance is itself good to about 1e-8 only.
     if spread[1] <= FLATNESS * spread[2] or spread[2] == 0:
-        raise DegenerateGeometry("the points lie on one line, which leaves the plane open")
+        raise DegenerateGeometry("the points lie on one line and do not determine a plane")

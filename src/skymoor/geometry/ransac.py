@@ -53,7 +53,7 @@ class _Hypotheses:
     def take(self, index: Index | Mask) -> _Hypotheses:
         return _Hypotheses(self.scale[index], self.rotation[index], self.translation[index])
 
-    def one(self, k: int) -> Similarity:
+    def at(self, k: int) -> Similarity:
         return Similarity(float(self.scale[k]), self.rotation[k], self.translation[k])
 
 
@@ -74,8 +74,8 @@ def ransac_similarity(
     With `level` both frames have z up and two correspondences make a hypothesis, else three. Hypotheses are scored
     by the truncated squared error (MSAC, Torr & Zisserman 2000) and the best are refitted to their own inliers
     (LO-RANSAC, Chum et al. 2003). The last fit has all 7 parameters where the inliers determine them. Sampling
-    stops once a better hypothesis would have been met with probability `confidence`. Scales outside `min_scale`
-    to `max_scale` (target metres per source unit) are not considered. The same `rng` state gives the same answer.
+    stops once a better hypothesis would have been sampled with probability `confidence`. Scales outside `min_scale`
+    to `max_scale` (target metres per source unit) are not considered. The same `rng` state gives the same result.
 
     Raises `TooFewMatches` with fewer correspondences than a sample needs, `DegenerateGeometry` when no sample gives
     a hypothesis.
@@ -111,7 +111,7 @@ def ransac_similarity(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Centred correspondences and what counts as explaining them."""
+    """Centred correspondences, and the limits of inliers and scales."""
 
     source: Array
     target: Array
@@ -131,10 +131,10 @@ class _Search:
             hypotheses = hypotheses.take(np.argsort(costs, kind="stable")[:SCREEN_KEEP])
         costs = self._costs(hypotheses, self.source, self.target)
         best = int(np.argmin(costs))
-        return hypotheses.one(best), float(costs[best])
+        return hypotheses.at(best), float(costs[best])
 
     def refitted(self, start: Similarity, cost: float) -> tuple[Similarity, float]:
-        """Refit to the inliers of a threshold that shrinks to `inlier_m`; keep whatever costs least."""
+        """Refit to the inliers of a threshold that shrinks to `inlier_m`; keep the fit of least cost."""
         best, best_cost, current = start, cost, start
         for widening in (2.0, 1.5, 1.2, 1.0, 1.0):
             chosen = self.errors(current) <= widening * self.inlier_m
@@ -148,7 +148,7 @@ class _Search:
         return best, best_cost
 
     def refitted_fully(self, start: Similarity, cost: float) -> tuple[Similarity, float]:
-        """Free the tilt where the inliers fix it: wide in two directions against their own scatter."""
+        """Fit all 7 parameters where the inliers determine the tilt: extended in two directions beyond the noise."""
         best, best_cost, current = start, cost, start
         for _ in range(3):
             chosen = self.errors(current) <= self.inlier_m
@@ -206,24 +206,24 @@ def _trials_needed(inlier_share: float, size: int, confidence: float) -> float:
 
 
 def _fit_pairs_level(source: Array, target: Array) -> tuple[_Hypotheses, Mask]:
-    """`umeyama_level` of samples (k, 2, 3), with a mask of the determined ones."""
+    """`umeyama_level` of samples (k, 2, 3), with a mask of those that are determined."""
     a, b = source[:, 1] - source[:, 0], target[:, 1] - target[:, 0]
-    turn = (b[:, 0] + 1j * b[:, 1]) * (a[:, 0] - 1j * a[:, 1])
-    length = np.abs(turn)
+    product = (b[:, 0] + 1j * b[:, 1]) * (a[:, 0] - 1j * a[:, 1])
+    length = np.abs(product)
     size = np.sum(a * a, axis=1)
     usable = (length > 1e-6 * np.sqrt(size * np.sum(b * b, axis=1))) & (size > 0)
     scale = (length + a[:, 2] * b[:, 2]) / np.where(size > 0, size, 1.0)
     usable &= scale > 0
-    heading = turn / np.where(length > 0, length, 1.0)
+    phase = product / np.where(length > 0, length, 1.0)
     rotation = np.zeros((len(a), 3, 3))
-    rotation[:, 0, 0] = rotation[:, 1, 1] = heading.real
-    rotation[:, 1, 0], rotation[:, 0, 1] = heading.imag, -heading.imag
+    rotation[:, 0, 0] = rotation[:, 1, 1] = phase.real
+    rotation[:, 1, 0], rotation[:, 0, 1] = phase.imag, -phase.imag
     rotation[:, 2, 2] = 1.0
     return _Hypotheses(scale, rotation, _translations(scale, rotation, source, target)), usable
 
 
 def _fit_triples(source: Array, target: Array) -> tuple[_Hypotheses, Mask]:
-    """`umeyama` of samples (k, 3, 3), with a mask of the determined ones."""
+    """`umeyama` of samples (k, 3, 3), with a mask of those that are determined."""
     a = source - source.mean(axis=1, keepdims=True)
     b = target - target.mean(axis=1, keepdims=True)
     size = np.sum(a * a, axis=(1, 2))
@@ -237,8 +237,8 @@ def _fit_triples(source: Array, target: Array) -> tuple[_Hypotheses, Mask]:
 
 
 def _translations(scale: Array, rotation: Array, source: Array, target: Array) -> Array:
-    turned = np.einsum("kij,kj->ki", rotation, source.mean(axis=1))
-    translations: Array = target.mean(axis=1) - scale[:, None] * turned
+    rotated = np.einsum("kij,kj->ki", rotation, source.mean(axis=1))
+    translations: Array = target.mean(axis=1) - scale[:, None] * rotated
     return translations
 
 
@@ -247,7 +247,7 @@ def _checked(source: ArrayLike, target: ArrayLike, *, minimum: int) -> tuple[Arr
     if xyz_source.ndim != 2 or xyz_source.shape[1] != 3 or xyz_source.shape != xyz_target.shape:
         raise ValueError(f"source {xyz_source.shape} and target {xyz_target.shape} must both be (n, 3)")
     if len(xyz_source) < minimum:
-        raise TooFewMatches(f"{len(xyz_source)} correspondences, at least {minimum} are needed")
+        raise TooFewMatches(f"{len(xyz_source)} correspondences; at least {minimum} are required")
     if not (np.isfinite(xyz_source).all() and np.isfinite(xyz_target).all()):
-        raise DegenerateGeometry("correspondences with values that are not finite")
+        raise DegenerateGeometry("the correspondences must have finite coordinates")
     return xyz_source, xyz_target

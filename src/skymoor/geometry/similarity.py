@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 ROTATION_TOLERANCE = 1e-6
 # Relative spread below which a cloud counts as a point or a line: well above the rounding of UTM-sized float64
-# coordinates (1e-9 m over 100 m), well below any shape that real matches have.
+# coordinates (1e-9 m over 100 m), well below the extent of real matches.
 FLATNESS = 1e-7
 
 
@@ -34,8 +34,8 @@ class Similarity:
 
     def __post_init__(self) -> None:
         scale = float(self.scale)
-        rotation = _frozen(self.rotation)
-        translation = _frozen(self.translation)
+        rotation = _read_only(self.rotation)
+        translation = _read_only(self.translation)
         if rotation.shape != (3, 3) or translation.shape != (3,):
             raise ValueError(f"rotation {rotation.shape} must be (3, 3) and translation {translation.shape} (3,)")
         if not (np.isfinite(scale) and np.isfinite(rotation).all() and np.isfinite(translation).all()):
@@ -50,7 +50,7 @@ class Similarity:
 
     @classmethod
     def identity(cls) -> Similarity:
-        """The similarity that moves nothing."""
+        """The identity transform."""
         return cls(1.0, np.eye(3), np.zeros(3))
 
     @classmethod
@@ -61,7 +61,7 @@ class Similarity:
             raise ValueError(f"a quaternion has 4 numbers, not shape {quaternion.shape}")
         length = float(np.linalg.norm(quaternion))
         if not np.isfinite(length) or length < 1e-12:
-            raise DegenerateGeometry("a quaternion of length zero or with infinite values is no rotation")
+            raise DegenerateGeometry("a quaternion of length zero or with values that are not finite is not a rotation")
         rotation = scipy.spatial.transform.Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
         return cls(scale, rotation, np.asarray(translation, dtype=np.float64))
 
@@ -85,7 +85,7 @@ class Similarity:
         return Similarity(1.0 / self.scale, self.rotation.T, -(self.rotation.T @ self.translation) / self.scale)
 
     def apply(self, points: ArrayLike) -> Array:
-        """Move points (..., 3) from source to target."""
+        """Transform points (..., 3) from source to target."""
         return np.asarray(points, dtype=np.float64) @ (self.scale * self.rotation).T + self.translation
 
     def __matmul__(self, other: Similarity) -> Similarity:
@@ -111,15 +111,17 @@ def umeyama(
     for name, points in (("source", pairs.source), ("target", pairs.target)):
         spread = np.linalg.svd(points, compute_uv=False)
         if spread[1] <= FLATNESS * spread[0]:
-            raise DegenerateGeometry(f"the {name} points lie on one line, which leaves the rotation about it open")
+            raise DegenerateGeometry(f"the {name} points lie on one line and do not determine the rotation about it")
     cross = pairs.target.T @ pairs.source
     u, d, vt = np.linalg.svd(cross)
     if d[1] <= FLATNESS**2 * d[0]:
-        raise DegenerateGeometry("source and target points agree along one line only, the rotation is open")
+        raise DegenerateGeometry(
+            "source and target points correlate along one line only and do not determine the rotation"
+        )
     signs = np.ones(3)
     if np.linalg.det(u) * np.linalg.det(vt) < 0:
         if d[1] - d[2] <= 1e-9 * d[0]:
-            raise DegenerateGeometry("the points are mirrored and symmetric, no rotation fits best")
+            raise DegenerateGeometry("the points are mirrored and symmetric: the best rotation is not unique")
         signs[2] = -1.0
     rotation = (u * signs) @ vt
     scale = float(d @ signs / np.sum(pairs.source**2)) if with_scale else 1.0
@@ -127,29 +129,29 @@ def umeyama(
 
 
 def umeyama_level(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None) -> Similarity:
-    """Least-squares similarity whose rotation is a heading about z, for frames that both have z up.
+    """Least-squares similarity that rotates about z only, for frames that both have z up.
 
     `source`, `target` (n, 3), `weights` (n,) not negative. With the plan as complex numbers p, q and heights h, g
-    (all centred), the heading is the argument of a = sum w q conj(p), and the scale is
+    (all centred), the rotation angle is the argument of a = sum w q conj(p), and the scale is
     (|a| + sum w g h) / sum w (|p|^2 + h^2).
 
-    Raises `TooFewMatches` below 2 points and `DegenerateGeometry` when the plan positions coincide, no heading
-    stands out, or the heights contradict every positive scale.
+    Raises `TooFewMatches` below 2 points and `DegenerateGeometry` when the plan positions coincide, no rotation
+    fits best, or the heights contradict every positive scale.
     """
     pairs = _Centred.from_points(source, target, weights, minimum=2)
     plan_source = pairs.source[:, 0] + 1j * pairs.source[:, 1]
     plan_target = pairs.target[:, 0] + 1j * pairs.target[:, 1]
     for name, plan, points in (("source", plan_source, pairs.source), ("target", plan_target, pairs.target)):
         if np.linalg.norm(plan) <= FLATNESS * np.linalg.norm(points):
-            raise DegenerateGeometry(f"the {name} points coincide in plan, which leaves the heading open")
-    turn = complex(np.vdot(plan_source, plan_target))
-    if abs(turn) <= FLATNESS**2 * np.linalg.norm(plan_source) * np.linalg.norm(plan_target):
-        raise DegenerateGeometry("no heading fits the points better than another")
+            raise DegenerateGeometry(f"the {name} points coincide in plan and do not determine the rotation")
+    product = complex(np.vdot(plan_source, plan_target))
+    if abs(product) <= FLATNESS**2 * np.linalg.norm(plan_source) * np.linalg.norm(plan_target):
+        raise DegenerateGeometry("no rotation about z fits the points better than another")
     vertical = float(pairs.source[:, 2] @ pairs.target[:, 2])
-    scale = (abs(turn) + vertical) / float(np.sum(pairs.source**2))
+    scale = (abs(product) + vertical) / float(np.sum(pairs.source**2))
     if scale <= 0:
         raise DegenerateGeometry("the heights contradict every positive scale")
-    cos, sin = turn.real / abs(turn), turn.imag / abs(turn)
+    cos, sin = product.real / abs(product), product.imag / abs(product)
     return pairs.similarity(scale, np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]))
 
 
@@ -173,10 +175,10 @@ class _Centred:
             raise ValueError("weights must be (n,), finite and not negative")
         used = w > 0
         if np.count_nonzero(used) < minimum:
-            raise TooFewMatches(f"{np.count_nonzero(used)} correspondences, at least {minimum} are needed")
+            raise TooFewMatches(f"{np.count_nonzero(used)} correspondences; at least {minimum} are required")
         xyz_source, xyz_target, w = xyz_source[used], xyz_target[used], w[used] / w[used].sum()
         if not (np.isfinite(xyz_source).all() and np.isfinite(xyz_target).all()):
-            raise DegenerateGeometry("correspondences with values that are not finite")
+            raise DegenerateGeometry("the correspondences must have finite coordinates")
         centred = []
         for name, points in (("source", xyz_source), ("target", xyz_target)):
             # Two steps, since the mean of UTM-sized numbers is itself rounded.
@@ -190,7 +192,7 @@ class _Centred:
         return Similarity(scale, rotation, self.target_mean - scale * (rotation @ self.source_mean))
 
 
-def _frozen(values: ArrayLike) -> Array:
+def _read_only(values: ArrayLike) -> Array:
     array = np.array(values, dtype=np.float64)
     array.flags.writeable = False
     return array

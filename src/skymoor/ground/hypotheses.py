@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What searches for the place of a ground component answer."""
+"""Results of the searches that register ground components."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from skymoor.types import Registration
 
 
 class Hypotheses(Protocol):
-    """Where a component may stand, by some search."""
+    """Hypotheses of one component, from some search."""
 
     @property
-    def places(self) -> Sequence[Similarity]:
-        """ENU from level, the best first."""
+    def similarities(self) -> Sequence[Similarity]:
+        """ENU from level, the best hypothesis first."""
 
     @property
-    def evidence(self) -> Sequence[float]:
-        """What speaks for each of the places; they compare with each other."""
+    def scores(self) -> Sequence[float]:
+        """Score of each hypothesis; comparable with each other only."""
 
     def decide(self, excluded: Collection[int] = ()) -> Registration:
-        """The best place, or why it is not believed, if those numbered in `excluded` are known to be wrong."""
+        """The registration by the best hypothesis that is not in `excluded` (their numbers), accepted or refused."""
 
 
 @dataclass(frozen=True, eq=False)
 class OneHypothesis:
-    """The answer of a search that gives no other than its best."""
+    """The result of a search that returns its best hypothesis only."""
 
     registration: Registration
 
     @property
-    def places(self) -> list[Similarity]:
+    def similarities(self) -> list[Similarity]:
         """See `Hypotheses`."""
-        placed = self.registration.enu_from_level
-        return [] if placed is None else [placed]
+        enu_from_level = self.registration.enu_from_level
+        return [] if enu_from_level is None else [enu_from_level]
 
     @property
-    def evidence(self) -> list[float]:
+    def scores(self) -> list[float]:
         """See `Hypotheses`: inliers."""
-        return [float(self.registration.n_inliers) for _ in self.places]
+        return [float(self.registration.n_inliers) for _ in self.similarities]
 
     def decide(self, excluded: Collection[int] = ()) -> Registration:
         """See `Hypotheses`."""

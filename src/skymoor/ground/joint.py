@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Components decided together: what one shows must not stand in what another looks through."""
+"""Joint decision on components: the surface of one must not lie in the observed free space of another."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class JointOptions:
     """When two components contradict each other.
 
     Attributes:
-        max_conflict: share of what one shows, of that which the other should see, that may stand in its free space.
-        min_shared: points of which that can be said; with fewer there is no telling.
+        max_conflict: largest share of the points of one, of those that the other should see, in its free space.
+        min_shared: points that both should see; with fewer there is no conflict.
         tolerance_m, tolerance_ratio: depths that differ by no more than either are the same.
-        points: of each component, drawn evenly, that are looked at.
+        points: of each component, drawn evenly, that are compared.
     """
 
     max_conflict: float = 0.5
@@ -34,40 +34,41 @@ class JointOptions:
 
 def decide_jointly(
     names: Sequence[str],
-    answers: Sequence[Hypotheses],
+    searches: Sequence[Hypotheses],
     maps_level: Sequence[Sequence[DepthMap]],
     options: JointOptions | None = None,
 ) -> list[Registration]:
-    """The registration of each component, the surest first, so that none contradicts a surer one.
+    """The registration of each component, in the order of confidence, so that none contradicts a more confident one.
 
-    A place that does is out, and no longer counts as another place that is nearly as good: what is known of one
-    component may decide where another stands.
+    A hypothesis that does is excluded, and no longer competes with the others: what is known of one component may
+    decide about another.
 
     Args:
         names: for the reasons of refusals.
-        answers: of each component's search.
+        searches: hypotheses of each component.
         maps_level: depth maps of each component, in its level frame.
         options: see there.
     """
     options = options or JointOptions()
-    shown = [_sampled(maps, options.points) for maps in maps_level]
-    excluded: list[dict[int, tuple[Criterion, str]]] = [{} for _ in answers]
+    points = [_sampled(maps, options.points) for maps in maps_level]
+    excluded: list[dict[int, tuple[Criterion, str]]] = [{} for _ in searches]
     decided: dict[int, Registration] = {}
     while True:
-        judged = {k: answers[k].decide(excluded[k]) for k in range(len(answers)) if k not in decided}
-        passing = [k for k, found in judged.items() if found.registered]
+        open_ = {k: search.decide(excluded[k]) for k, search in enumerate(searches) if k not in decided}
+        passing = [k for k, found in open_.items() if found.registered]
         if not passing:
-            return [decided.get(k) or _explained(judged[k], excluded[k]) for k in range(len(answers))]
-        surest = max(passing, key=lambda k: judged[k].diagnostics["score"])
-        decided[surest] = judged[surest]
-        surely = judged[surest].enu_from_level
-        assert surely is not None
-        for k in judged.keys() - {surest}:
-            for number, place in enumerate(answers[k].places):
-                share = conflict(shown[k], maps_level[k], place, shown[surest], maps_level[surest], surely, options)
+            return [decided.get(k) or _explained(open_[k], excluded[k]) for k in range(len(searches))]
+        best = max(passing, key=lambda k: open_[k].diagnostics["score"])
+        decided[best] = open_[best]
+        enu_from_best = open_[best].enu_from_level
+        assert enu_from_best is not None
+        for k in open_.keys() - {best}:
+            for number, enu_from_k in enumerate(searches[k].similarities):
+                anchor = (points[best], maps_level[best], enu_from_best)
+                share = conflict(points[k], maps_level[k], enu_from_k, *anchor, options)
                 conflicts = criterion("conflict", share, options.max_conflict)
                 if not conflicts.passed:
-                    excluded[k].setdefault(number, (conflicts, names[surest]))
+                    excluded[k].setdefault(number, (conflicts, names[best]))
 
 
 def conflict(
@@ -79,14 +80,14 @@ def conflict(
     enu_from_b: Similarity,
     options: JointOptions | None = None,
 ) -> float:
-    """How much of what each of two components shows stands where the other looks through; 0 where they share little.
+    """Share of the surface of one component in the observed free space of the other; 0 where they overlap little.
 
-    The larger share of both ways round: either's photos may be those that look.
+    It is the larger one of both directions.
 
     Args:
         points_a, points_b: (n, 3) in each one's level frame.
         maps_a, maps_b: depth maps in the same frames.
-        enu_from_a, enu_from_b: where they stand.
+        enu_from_a, enu_from_b: their registrations.
         options: see there.
     """
     options = options or JointOptions()
@@ -97,16 +98,16 @@ def conflict(
     ]
     shares = [0.0]
     for points, maps, scale in ways:
-        through, borne_out = _seen_through(points, maps, options.tolerance_m / scale, options.tolerance_ratio)
-        if through + borne_out >= options.min_shared:
-            shares.append(through / (through + borne_out))
+        through, confirmed = _seen_through(points, maps, options.tolerance_m / scale, options.tolerance_ratio)
+        if through + confirmed >= options.min_shared:
+            shares.append(through / (through + confirmed))
     return max(shares)
 
 
 def _seen_through(points: Array, maps: Sequence[DepthMap], tolerance: float, ratio: float) -> tuple[int, int]:
-    """How many points stand where most photos look through, and how many where they show something.
+    """How many points lie in the free space of most photos, and how many on their surfaces.
 
-    Points that are hidden, outside, or where depth is not known count for neither.
+    Points that are hidden, outside, or without a known depth count for neither.
     """
     through, there = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     for depth_map in maps:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two pictures of one place, from different worlds, to pairs of pixels."""
+"""Two images of one place, from different worlds, to pairs of pixels."""
 
 from skymoor.match._aliked import AlikedMatcher
 from skymoor.match._anyloc import AnyLocRetriever

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ALIKED as a matcher of pictures, for CPUs."""
+"""ALIKED as a matcher of images, for CPUs."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class AlikedMatcher:
     Attributes:
         weights: path of aliked-n16rot.pth; empty for where `skymoor weights fetch aliked` puts it.
         device: "auto", "cpu" or "cuda".
-        max_keypoints: the surest so many of each picture.
+        max_keypoints: the surest so many of each image.
         max_ratio: a match must be closer than this share of the distance to the next best, both ways; 1 asks for
             nothing beyond being each other's nearest.
-        side_px: larger pictures are reduced to this long side.
+        side_px: larger images are reduced to this long side.
     """
 
     weights: str = ""
@@ -77,7 +77,7 @@ _: type[DenseMatcher] = AlikedMatcher
 def _keypoints(features: AlikedFeatures, raster: Raster) -> tuple[Array, torch.Tensor]:
     """Pixels (n, 2) of what lies well on the mask, and descriptions (n, 128).
 
-    The edge of the picture itself is no edge of the mask. Kept for the next call, for photos and tiles are matched with
+    The edge of the image itself is no edge of the mask. Kept for the next call, for photos and tiles are matched with
     many others: at most two megabytes each.
     """
     px, described = features(raster.rgb)

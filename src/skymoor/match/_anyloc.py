@@ -26,7 +26,7 @@ from skymoor.match.retrieve import UNLIKE
 from skymoor.match.vlad import unit, vlad, vocabulary
 from skymoor.types import Array, Array32, Raster
 
-MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the pictures that DINOv2 has been trained with
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the images that DINOv2 has been trained with
 FEATURES_PER_TILE = 400  # of the vocabulary
 KINDS = ("dinov2", "dinov2_with_registers")
 
@@ -41,7 +41,7 @@ class AnyLocRetriever:
         device: "auto", "cpu" or "cuda".
         layer: whose values are taken, counted from 0; -1 for the depth of AnyLoc's choice, 31 of 40.
         clusters: words of the vocabulary.
-        side_px: larger pictures are reduced to about this long side.
+        side_px: larger images are reduced to about this long side.
         vocabulary_tiles: so many tiles, evenly spread over all, make the vocabulary; they are looked at twice.
         seed: of the vocabulary.
     """
@@ -103,7 +103,7 @@ _: type[Retriever] = AnyLocRetriever
 
 
 class ValueFeatures:
-    """The values (n, d) that the attention of one layer computes for the known patches of a picture, of length 1.
+    """The values (n, d) that the attention of one layer computes for the known patches of an image, of length 1.
 
     Attributes:
         network: a `Dinov2Model`.
@@ -122,13 +122,13 @@ class ValueFeatures:
         import torch
 
         patch = int(self.network.config.patch_size)
-        picture, _ = fitted(raster.rgb, side_px, patch)
+        image, _ = fitted(raster.rgb, side_px, patch)
         mean, std = (torch.tensor(x, device=self.device).view(1, 3, 1, 1) for x in (MEAN, STD))
         with torch.inference_mode():
-            self.network(pixel_values=(as_tensor(picture, self.device) - mean) / std)
+            self.network(pixel_values=(as_tensor(image, self.device) - mean) / std)
         (values,) = self._seen.pop()
         first = 1 + int(getattr(self.network.config, "num_register_tokens", 0))  # those before it stand for no patch
-        columns, rows = picture.shape[1] // patch, picture.shape[0] // patch
+        columns, rows = image.shape[1] // patch, image.shape[0] // patch
         known = cv2.resize(raster.mask.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA) >= 0.5
         return unit(values[first:].float().cpu().numpy()[known.ravel()])
 

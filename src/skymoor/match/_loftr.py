@@ -33,7 +33,7 @@ class LoftrMatcher:
     Attributes:
         weights: path of loftr_outdoor.ckpt; empty for where `skymoor weights fetch loftr` puts it.
         device: "auto", "cpu" or "cuda".
-        side_px: larger pictures are reduced to about this long side; memory grows with its fourth power.
+        side_px: larger images are reduced to about this long side; memory grows with its fourth power.
     """
 
     weights: str = ""

@@ -41,7 +41,7 @@ class RomaMatcher:
         weights, dinov2: paths of roma_outdoor.pth and dinov2_vitl14_pretrain.pth; empty for where
             `skymoor weights fetch roma` puts them.
         device: "auto", "cpu" or "cuda"; half precision on CUDA only.
-        coarse_px: both pictures are matched as squares of this side first.
+        coarse_px: both images are matched as squares of this side first.
         upsample_px: and refined as squares of this side; 0 leaves that out, for a third of the time.
         pairs_at_once: of many; 0 for eight on CUDA and one on a CPU.
     """
@@ -95,10 +95,10 @@ class RomaMatcher:
         prepare = require("romatch.utils", "roma").get_tuple_transform_ops
 
         def stacked(side_px: int) -> list[torch.Tensor]:
-            ready = [prepare(resize=(side_px, side_px), normalize=True)(images) for images in pictures]
-            return [torch.stack([pair[k] for pair in ready]).to(device) for k in (0, 1)]
+            ready = [prepare(resize=(side_px, side_px), normalize=True)(pair) for pair in images]
+            return [torch.stack([prepared[k] for prepared in ready]).to(device) for k in (0, 1)]
 
-        pictures = [tuple(Image.fromarray(raster.rgb) for raster in pair) for pair in pairs]
+        images = [tuple(Image.fromarray(raster.rgb) for raster in pair) for pair in pairs]
         fine = stacked(self.upsample_px) if self.upsample_px else [None, None]
         warp, certainty = network.match(
             *stacked(self.coarse_px), im_A_high_res=fine[0], im_B_high_res=fine[1], device=device
@@ -113,7 +113,7 @@ class TinyRomaMatcher:
     Attributes:
         weights: path of tiny_roma_v1_outdoor.pth; empty for where `skymoor weights fetch tiny-roma` puts it.
         device: "auto", "cpu" or "cuda".
-        side_px: pictures are matched with long sides of at most about so many pixels; memory grows with its fourth
+        side_px: images are matched with long sides of at most about so many pixels; memory grows with its fourth
             power.
     """
 
@@ -139,10 +139,10 @@ class TinyRomaMatcher:
         """
         device = torch_device(self.device)
         network = _tiny_roma(*self.ready(), device)
-        pictures = [as_tensor(fitted(raster.rgb, self.side_px, TINY_PX)[0], device) for raster in (a, b)]
+        images = [as_tensor(fitted(raster.rgb, self.side_px, TINY_PX)[0], device) for raster in (a, b)]
         # The network answers one way only.
         flows = []
-        for one, other in (pictures, pictures[::-1]):
+        for one, other in (images, images[::-1]):
             warp, certainty = network.match(one, other)
             flows.append(EngineFlow(_numpy(warp[0, ..., 2:]), _numpy(certainty[0])))
         return warp_from_flows(a, b, *flows)

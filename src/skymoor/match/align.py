@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lay one picture on the other by a hypothesis, match them there, and say the matches in their own pixels."""
+"""Lay one image on the other by a hypothesis, match them there, and say the matches in their own pixels."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def match_hypothesis(
     """Cyclically consistent matches of `a` in `b`, given about where it lies.
 
     Args:
-        a, b: the pictures.
+        a, b: the images.
         b_from_a: (2, 3) affine between their pixels: a similarity, from a search or a former registration.
         matcher: compares `a`, resampled to the pixels of b, with the part of b that it covers.
         options: thresholds; pixels are those of b.
@@ -35,7 +35,7 @@ def match_hypothesis(
         margin_px: border around the covered part.
 
     Returns:
-        matches in pixels of a and of b, and the warp between the two laid pictures.
+        matches in pixels of a and of b, and the warp between the two laid images.
     """
     u0, v0, width, height = _covered(a, b, b_from_a, margin_px)
     shift = np.array([[1, 0, -u0], [0, 1, -v0]], dtype=np.float64)
@@ -63,7 +63,7 @@ def lay(a: Raster, b_from_a: Array, size: tuple[int, int]) -> Raster:
         share = cv2.warpAffine(known, matrix, size, flags=cv2.INTER_LINEAR)
         filled = np.where(known > 0, small.height, 0).astype(np.float32)
         total = cv2.warpAffine(filled, matrix, size, flags=cv2.INTER_LINEAR)
-        # Pyramid keeps heights in units of the reduced picture's pixel; what is left of the scale follows here.
+        # Pyramid keeps heights in units of the reduced image's pixel; what is left of the scale follows here.
         rest = np.float32(scale / min(1.0, scale))
         height = np.where(share > 0.99, total / np.maximum(share, 1e-6) * rest, np.nan).astype(np.float32)
     return Raster(rgb, mask, height)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What two pictures of one place share when sensor, season and sun do not: where edges run, and where heights step.
+"""What two images of one place share when sensor, season and sun do not: where edges run, and where heights step.
 
 Colour: the gradient of the log-image as its double and fourfold angle, so that contrast may reverse and crossing
 directions cancel (the family of CFOG, Ye et al. 2019, and HOPC, Ye et al. 2017). Heights: the slope itself, signed,
@@ -49,7 +49,7 @@ class Channels:
 
 
 def make_channels(raster: Raster, options: ChannelOptions) -> Channels:
-    """Channels of a picture; zero where it is unknown."""
+    """Channels of an image; zero where it is unknown."""
     colour, colour_mask = _colour(raster.rgb, raster.mask, options)
     if raster.height is None:
         height, height_mask = np.zeros((2, *raster.mask.shape), np.float32), np.zeros(raster.mask.shape, np.float32)
@@ -59,7 +59,7 @@ def make_channels(raster: Raster, options: ChannelOptions) -> Channels:
 
 
 def rotate_angles(values: Array32, radians: float) -> Array32:
-    """Channels (6, ...) after their picture was turned by `radians` from u towards v."""
+    """Channels (6, ...) after their image was turned by `radians` from u towards v."""
     turned = np.empty_like(values)
     for start, order in ((0, 2), (2, 4), (4, 1)):
         c, s = np.float32(np.cos(order * radians)), np.float32(np.sin(order * radians))
@@ -110,7 +110,7 @@ def _gradient(values: Array32, sigma: float) -> tuple[Array32, Array32]:
 
 
 def _fill(values: Array32, mask: Mask) -> Array32:
-    """Continue a picture beyond its mask with local means, so that its border is no edge."""
+    """Continue an image beyond its mask with local means, so that its border is no edge."""
     known = mask.astype(np.float32)
     filled = np.where(mask, values, 0).astype(np.float32)
     for sigma in (2.0, 8.0, 32.0):

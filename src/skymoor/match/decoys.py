@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well pictures fit that cannot be right: what chance reaches in this reference, with a picture like this one.
+"""How well images fit that cannot be right: what chance reaches in this reference, with an image like this one.
 
-A mirrored picture has all that the true one has, edges, textures and heights, and lies nowhere; nor does one whose
+A mirrored image has all that the true one has, edges, textures and heights, and lies nowhere; nor does one whose
 parts have been mixed up. They are searched as the true one was, over the same headings, scales and places.
 """
 
@@ -25,8 +25,8 @@ class DecoyOptions:
     """How chance is asked.
 
     Attributes:
-        count: of decoys at most: the mirrored picture, then mixed ones, every second of them mirrored as well.
-        parts: along each side, into which a picture is cut.
+        count: of decoys at most: the mirrored image, then mixed ones, every second of them mirrored as well.
+        parts: along each side, into which an image is cut.
         keep: places of each that are refined.
     """
 
@@ -68,7 +68,7 @@ def decoy_scores(
 
 
 def made_decoys(a: Raster, options: DecoyOptions, rng: np.random.Generator) -> Iterator[Raster]:
-    """Pictures that lie nowhere."""
+    """Images that lie nowhere."""
     for k in range(options.count):
         decoy = mirrored(a) if k % 2 == 0 else a
         yield mixed(decoy, options.parts, rng) if k else decoy

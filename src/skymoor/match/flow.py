@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What engines answer, on grids and at points of their own, to flows in the pixels of the pictures."""
+"""What engines answer, on grids and at points of their own, to flows in the pixels of the images."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from skymoor.types import Array32, Raster, Warp
 
 @dataclass(frozen=True, eq=False)
 class EngineFlow:
-    """One direction of a learned dense matcher, for a picture that was stretched to the engine's grid.
+    """One direction of a learned dense matcher, for an image that was stretched to the engine's grid.
 
-    `target` (h, w, 2) is the place in the other picture, x right and y down, -1 and 1 at the outer edges of its border
-    pixels; cell (0, 0) stands for the middle of the first of h x w equal parts of the picture. That is what PyTorch
+    `target` (h, w, 2) is the place in the other image, x right and y down, -1 and 1 at the outer edges of its border
+    pixels; cell (0, 0) stands for the middle of the first of h x w equal parts of the image. That is what PyTorch
     calls align_corners=False. `certainty` (h, w) lies in [0, 1].
     """
 
@@ -26,7 +26,7 @@ class EngineFlow:
 
 
 def warp_from_flows(a: Raster, b: Raster, b_from_a: EngineFlow, a_from_b: EngineFlow) -> Warp:
-    """Both directions in pixels of the pictures, which may differ in size and in aspect from the engine's grid.
+    """Both directions in pixels of the images, which may differ in size and in aspect from the engine's grid.
 
     Confidence is 0 where the mask is False, of the pixel itself or of where it lands, and where it lands outside.
     """
@@ -41,7 +41,7 @@ def _one_way(flow: EngineFlow, source: Raster, target: Raster) -> tuple[Array32,
     step = np.asarray(flow.target, np.float32) - _own_places(flow.target.shape[0], flow.target.shape[1])
     # OpenCV resizes in this convention: equal parts to equal parts, values in their middles.
     place = cv2.resize(step, (w, h), interpolation=cv2.INTER_LINEAR) + _own_places(h, w)
-    # Engines clamp what leaves the other picture to its edge.
+    # Engines clamp what leaves the other image to its edge.
     sure = np.where((np.abs(flow.target) < 1).all(axis=-1), flow.certainty, 0).astype(np.float32)
     sure = cv2.resize(sure, (w, h), interpolation=cv2.INTER_LINEAR)
     size = np.array([target.mask.shape[1], target.mask.shape[0]], np.float32)
@@ -57,7 +57,7 @@ def _own_places(h: int, w: int) -> Array32:
 
 
 def _meaningful(px: Array32, target: Raster) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Whether pixels (..., 2) lie on a picture, and on its mask."""
+    """Whether pixels (..., 2) lie on an image, and on its mask."""
     h, w = target.mask.shape
     u, v = px[..., 0], px[..., 1]
     inside = (u > 0) & (v > 0) & (u < w) & (v < h)  # False for NaN
@@ -69,11 +69,11 @@ def warp_from_pairs(a: Raster, b: Raster, px_a: ArrayLike, px_b: ArrayLike, conf
     """Matched points as a flow that is sure where the points are and says nothing elsewhere.
 
     Each pair is one pixel of a, and in b the four pixels around its partner, which is what the cyclic test
-    interpolates between; so a pair counts once, and comes out where it went in, to a fraction of a pixel. Pictures
+    interpolates between; so a pair counts once, and comes out where it went in, to a fraction of a pixel. Images
     have about the same scale (see `DenseMatcher`), so from a point to its pixel's centre the step is the same.
 
     Args:
-        a, b: the pictures, for their sizes and masks.
+        a, b: the images, for their sizes and masks.
         px_a, px_b: (n, 2) pixels of matched points; of pairs that share a pixel the surest counts.
         confidence: (n,) in [0, 1].
     """
@@ -97,7 +97,7 @@ def warp_from_pairs(a: Raster, b: Raster, px_a: ArrayLike, px_b: ArrayLike, conf
 
 
 def _nothing(source: Raster, target: Raster) -> tuple[Array32, Array32]:
-    """A finite flow, to about the same place of the other picture, with no confidence."""
+    """A finite flow, to about the same place of the other image, with no confidence."""
     h, w = source.mask.shape
     size = np.array([target.mask.shape[1], target.mask.shape[0]], np.float32)
     return ((_own_places(h, w) + 1) / 2 * size).astype(np.float32), np.zeros((h, w), np.float32)

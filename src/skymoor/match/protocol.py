@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the registration asks of a matcher, and of what says which pictures are worth matching."""
+"""What the registration asks of a matcher, and of what says which images are worth matching."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from skymoor.types import Array, Raster, Warp
 
 
 class DenseMatcher(Protocol):
-    """For each pixel of one picture its place in the other, both ways.
+    """For each pixel of one image its place in the other, both ways.
 
-    The pictures have about the same scale and heading; a search in front sees to that, for learned matchers are not
+    The images have about the same scale and heading; a search in front sees to that, for learned matchers are not
     rotation-invariant either.
     """
 
@@ -21,7 +21,7 @@ class DenseMatcher(Protocol):
 
 
 class Retriever(Protocol):
-    """Which tiles may show what a photo shows, by a look at whole pictures.
+    """Which tiles may show what a photo shows, by a look at whole images.
 
     All queries come at once, so that each tile is looked at once, and so that what is common to all photos, or to all
     renders, can be told from what is special.

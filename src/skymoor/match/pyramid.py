@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One picture at many sizes."""
+"""One image at many sizes."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from skymoor.types import Raster
 
 
 class Pyramid:
-    """Reduces a picture from the nearest of its halvings, so that asking for many sizes stays cheap."""
+    """Reduces an image from the nearest of its halvings, so that asking for many sizes stays cheap."""
 
     def __init__(self, raster: Raster) -> None:
         self._levels = [raster]
 
     def at(self, ratio: float) -> Raster:
-        """The picture at `ratio` of its size."""
+        """The image at `ratio` of its size."""
         level = 0
         while ratio * 2 ** (level + 1) <= 1:
             level += 1

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which tiles look like a photo, without learned features: the mix of edge directions in parts of the picture.
+"""Which tiles look like a photo, without learned features: the mix of edge directions in parts of the image.
 
 The offline stand-in for a learned descriptor such as AnyLoc (Keetha et al. 2023), and no match for it: between a photo
 from the ground and a render from the air it is hardly better than chance (simulated site, mean rank of right tiles
-0.46 to 0.49 of all). It serves to let different photos try different tiles first; pictures from alike directions it
+0.46 to 0.49 of all). It serves to let different photos try different tiles first; images from alike directions it
 does tell apart.
 """
 
@@ -25,12 +25,12 @@ UNLIKE = -1.0
 
 @dataclass(frozen=True)
 class ChannelRetriever:
-    """Compares pooled orientation channels at several sizes of the picture; colours are not looked at.
+    """Compares pooled orientation channels at several sizes of the image; colours are not looked at.
 
     Attributes:
-        long_px: long side to which pictures are reduced.
+        long_px: long side to which images are reduced.
         octaves: so many sizes are described, each half of the one before.
-        cells: the picture is described in `cells` x `cells` parts, and as a whole.
+        cells: the image is described in `cells` x `cells` parts, and as a whole.
         channels: how channels are made.
     """
 
@@ -80,7 +80,7 @@ def _reduced(raster: Raster, long_px: float) -> Raster:
 
 
 def _pooled(values: Array32, cells: int) -> Array32:
-    """Means over the parts of a picture (h, w, ...)."""
+    """Means over the parts of an image (h, w, ...)."""
     return np.asarray(cv2.resize(values, (cells, cells), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 

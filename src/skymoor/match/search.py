@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a picture of unknown heading, scale and place lies in a larger one.
+"""Where an image of unknown heading, scale and place lies in a larger one.
 
 All headings and scales are tried at a coarse pixel; the best hypotheses are refined at finer pixels, several of them,
 because at the coarse pixel the right one is not always the first. Any dense matcher needs this in front.
@@ -21,9 +21,9 @@ from skymoor.types import Array, Progress, Raster, no_progress
 
 @dataclass(frozen=True)
 class ImageHypothesis:
-    """Pixel p of the picture lies at `scale * turn(p - centre) + place` of the reference, both in pixels.
+    """Pixel p of the image lies at `scale * turn(p - centre) + place` of the reference, both in pixels.
 
-    `turn` rotates by `azimuth_rad` from u towards v; `centre` is the middle of the picture. `score` is the agreement
+    `turn` rotates by `azimuth_rad` from u towards v; `centre` is the middle of the image. `score` is the agreement
     in standard deviations above chance; it compares with scores of the same level of refinement.
     """
 
@@ -33,7 +33,7 @@ class ImageHypothesis:
     score: float
 
     def matrix(self, shape: tuple[int, int]) -> Array:
-        """(2, 3) affine from the pixels of a picture of `shape` to the reference's."""
+        """(2, 3) affine from the pixels of an image of `shape` to the reference's."""
         c, s = self.scale * np.cos(self.azimuth_rad), self.scale * np.sin(self.azimuth_rad)
         linear = np.array([[c, -s], [s, c]])
         centre = np.array([shape[1] / 2, shape[0] / 2])
@@ -46,12 +46,12 @@ class SearchOptions:
 
     Attributes:
         heading_step_deg, scale_step: spacing of the coarse hypotheses.
-        template_px, reference_px: largest long sides of picture and reference at the coarse level.
-        min_overlap: share of the picture that must lie on the reference.
+        template_px, reference_px: largest long sides of image and reference at the coarse level.
+        min_overlap: share of the image that must lie on the reference.
         keep: hypotheses that are refined.
         keep_ratio: a hypothesis whose score falls below this share of the best is dropped, but three are kept always:
             how good the best wrong answer is says how good the best one is.
-        fine_px: long side of the picture at the finest level.
+        fine_px: long side of the image at the finest level.
     """
 
     heading_step_deg: float = 6.0
@@ -76,7 +76,7 @@ def search_hypotheses(
 ) -> list[ImageHypothesis]:
     """The best places of `a` in `b`, best first, distinct from each other; scale is pixels of b per pixel of a.
 
-    Scales at which the reference could not hold the picture are left out. An empty list says that none is left.
+    Scales at which the reference could not hold the image are left out. An empty list says that none is left.
     """
     options = options or SearchOptions()
     return search_in(Sized(b), a, min_scale=min_scale, max_scale=max_scale, options=options, progress=progress)
@@ -85,7 +85,7 @@ def search_hypotheses(
 def search_in(
     reference: Sized, a: Raster, *, min_scale: float, max_scale: float, options: SearchOptions, progress: Progress
 ) -> list[ImageHypothesis]:
-    """The same in a reference in which other pictures are searched, too: what is made of it is made once."""
+    """The same in a reference in which other images are searched, too: what is made of it is made once."""
     b = reference.raster
     search = _Search(a, reference, options)
     room = b.mask.sum() / max(1, a.mask.sum()) / options.min_overlap
@@ -145,7 +145,7 @@ class Sized:
 
 
 class _Search:
-    """Both pictures at every size that the search asks for."""
+    """Both images at every size that the search asks for."""
 
     def __init__(self, a: Raster, reference: Sized, options: SearchOptions) -> None:
         self._a, self._reference = Pyramid(a), reference
@@ -154,7 +154,7 @@ class _Search:
         self._options = options
 
     def ratio(self, scale: float, template_px: int) -> float:
-        """By how much the reference is reduced for a picture at `scale` to be about `template_px` long, at most 1."""
+        """By how much the reference is reduced for an image at `scale` to be about `template_px` long, at most 1."""
         wanted = template_px / (scale * max(self._shape))
         largest = template_px / self._options.template_px * self._options.reference_px / self._b_side
         # Quantised, so that few versions of the reference are made.
@@ -199,7 +199,7 @@ class _Search:
         return self._reference.at(ratio, self._options.channels)
 
     def _place(self, trial: ImageHypothesis, channels: Channels, ratio: float, reach: int = 8) -> ImageHypothesis:
-        """The best place within `reach` pixels, and its score; `channels` are the picture's at the trial's scale."""
+        """The best place within `reach` pixels, and its score; `channels` are the image's at the trial's scale."""
         template = turn(channels, trial.azimuth_rad)
         side = template.values.shape[1]
         u0, v0 = (round(x * ratio - side / 2) - reach for x in trial.place)
@@ -212,7 +212,7 @@ class _Search:
 
 
 def turn(channels: Channels, heading: float) -> Channels:
-    """Channels of the turned picture, in a square that holds every heading."""
+    """Channels of the turned image, in a square that holds every heading."""
     h, w = channels.values.shape[1:]
     side = int(np.ceil(np.hypot(h, w))) + 2
     c, s = np.cos(heading), np.sin(heading)
@@ -226,7 +226,7 @@ def turn(channels: Channels, heading: float) -> Channels:
 
 
 def cut(channels: Channels, u0: int, v0: int, side: int) -> Channels:
-    """A square window whose first pixel is (u0, v0), zero beyond the picture."""
+    """A square window whose first pixel is (u0, v0), zero beyond the image."""
     h, w = channels.values.shape[1:]
     stack = np.concatenate([channels.values, channels.known])
     window = np.zeros((len(stack), side, side), np.float32)

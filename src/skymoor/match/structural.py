@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The offline default: every pixel's neighbourhood searched in the other picture by structural channels."""
+"""The offline default: every pixel's neighbourhood searched in the other image by structural channels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GROUPS = (slice(0, 4), slice(4, 6))  # colour and height channels, known in diff
 class StructuralMatcher:
     """Block matching of structural channels within `reach_px` of the identity, both ways, to a fraction of a pixel.
 
-    Pictures must be aligned up to `reach_px`. One cost surface serves both directions, so the cyclic test that
+    Images must be aligned up to `reach_px`. One cost surface serves both directions, so the cyclic test that
     follows is the left-right check of stereo.
 
     Attributes:
@@ -39,7 +39,7 @@ class StructuralMatcher:
     def __call__(self, a: Raster, b: Raster) -> Warp:
         """Match both ways; see `DenseMatcher`."""
         if a.mask.shape != b.mask.shape:
-            raise ValueError("the structural matcher compares pictures of one size")
+            raise ValueError("the structural matcher compares images of one size")
         forward, backward = self._costs(make_channels(a, self.channels), make_channels(b, self.channels))
         flow_a, sure_a = self._flow(forward, a.mask.shape)
         flow_b, sure_b = self._flow(backward, b.mask.shape)
@@ -86,7 +86,7 @@ class StructuralMatcher:
         return np.asarray(cv2.blur(once, (width, width), borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
 
     def _flow(self, cost: Array32, shape: tuple[int, int]) -> tuple[Array32, Array32]:
-        """Pixel of the other picture (h, w, 2) and confidence (h, w), from one direction's costs."""
+        """Pixel of the other image (h, w, 2) and confidence (h, w), from one direction's costs."""
         rows, columns, side, _ = cost.shape
         r, g = self.reach_px, self.grid_px
         flat = cost.reshape(rows, columns, -1)

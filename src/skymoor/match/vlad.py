@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many local descriptions of a picture to one vector: VLAD.
+"""Many local descriptions of an image to one vector: VLAD.
 
 Jegou, Douze, Schmid and Perez, Aggregating local descriptors into a compact image representation, CVPR 2010; each
 cluster's part is normalised for itself as in Arandjelovic and Zisserman, All about VLAD, CVPR 2013, so that what
-repeats in a picture does not outvote the rest.
+repeats in an image does not outvote the rest.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def vocabulary(features: Array32, clusters: int, *, rng: np.random.Generator) ->
 
 
 def vlad(features: Array32, centres: Array32) -> Array32:
-    """One vector (k * d,) of length 1 for the descriptions (n, d) of a picture, with a vocabulary (k, d).
+    """One vector (k * d,) of length 1 for the descriptions (n, d) of an image, with a vocabulary (k, d).
 
     Each description goes to the nearest word; what it differs from it is summed per word. All zero for no description.
     """

@@ -39,7 +39,7 @@ class BlendOptions:
 
 
 class Blend:
-    """Accumulates photos over a picture of surface points."""
+    """Accumulates photos over an image of surface points."""
 
     def __init__(self, xyz: Array32, direction: Array, options: BlendOptions) -> None:
         self._xyz = xyz
@@ -95,7 +95,7 @@ class Blend:
         return np.asarray(self._weight > 0)
 
     def _window(self, depth_map: DepthMap, step: int = 8) -> tuple[slice, slice] | None:
-        """The part of the picture that a photo can show, by projecting every eighth point."""
+        """The part of the image that a photo can show, by projecting every eighth point."""
         i = depth_map.camera.intrinsics
         coarse = self._xyz[::step, ::step]
         cam = depth_map.camera.cam_from_world.apply(coarse.reshape(-1, 3).astype(np.float64))
@@ -142,7 +142,7 @@ class Blend:
 
 
 def _sample(image: Image, u: Array32, v: Array32) -> Image:
-    """Bilinear colours (n, 3); OpenCV takes no list longer than 32767, so the list is folded into a picture."""
+    """Bilinear colours (n, 3); OpenCV takes no list longer than 32767, so the list is folded into an image."""
     rows = -(-len(u) // 1024)
     folded = [np.pad(x - 0.5, (0, rows * 1024 - len(x))).reshape(rows, 1024) for x in (u, v)]
     if not rows:

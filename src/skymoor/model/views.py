@@ -31,7 +31,7 @@ class RenderOptions:
 
 
 def nadir_view(surface_points: Array, pixel: float, options: RenderOptions | None = None) -> View:
-    """Straight down, x of the picture along x of the level frame, y along -y.
+    """Straight down, x of the image along x of the level frame, y along -y.
 
     Args:
         surface_points: (n, 3) in the level frame; the view covers them but for a few outliers.
@@ -92,7 +92,7 @@ def tiles(shape: tuple[int, int], *, size: int = 300, overlap: float = 0.25) -> 
 
 
 def _looking(azimuth_deg: float, depression_deg: float) -> Array:
-    """view_from_level (3, 3) of a view in that direction, upright in the picture."""
+    """view_from_level (3, 3) of a view in that direction, upright in the image."""
     azimuth, depression = np.radians([azimuth_deg, depression_deg])
     along = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
     right = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])

@@ -86,7 +86,7 @@ def _check_or_refuse(
 def _on_map(item: ComponentResult, answers: Hypotheses) -> list[MapHypothesis]:
     """All hypotheses of a component, accepted or not."""
     found, middle = [], np.median([camera.centre for camera in item.component.cameras], axis=0)
-    for place, evidence in zip(answers.places, answers.evidence, strict=True):
+    for place, evidence in zip(answers.similarities, answers.scores, strict=True):
         east, north, _ = place.apply(middle[None])[0].tolist()
         azimuth_deg = -np.degrees(np.arctan2(place.rotation[1, 0], place.rotation[0, 0])) % 360
         found.append(MapHypothesis(evidence, east, north, float(azimuth_deg), place.scale))

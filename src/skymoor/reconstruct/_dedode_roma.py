@@ -38,7 +38,7 @@ class DenseWarp(Protocol):
     """What is asked of a dense matcher: those of the matching stage, such as RoMa, can do it."""
 
     def __call__(self, a: Raster, b: Raster) -> Warp:
-        """For each pixel of one picture its place in the other, both ways."""
+        """For each pixel of one image its place in the other, both ways."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ class DedodeRomaMatcher:
     ) -> Iterator[Matched]:
         @lru_cache(maxsize=16)
         def small(index: int) -> Raster:
-            picture, _ = fitted(photos.read(photos.names[index]), self.side_px, 1)
-            return Raster(picture, np.ones(picture.shape[:2], bool))
+            image, _ = fitted(photos.read(photos.names[index]), self.side_px, 1)
+            return Raster(image, np.ones(image.shape[:2], bool))
 
         warps = match_many(self.dense, ((small(i), small(j)) for i, j in pairs))
         for done, ((i, j), warp) in enumerate(zip(pairs, warps, strict=True)):
@@ -120,7 +120,7 @@ def match_keypoints(
 ) -> NDArray[np.uint32]:
     """Rows (m, 2) of key points (n, 2) that the warp takes to each other, both ways.
 
-    Of each picture's key points the one nearest to where the flow leads counts, if it is near enough and the flow is
+    Of each image's key points the one nearest to where the flow leads counts, if it is near enough and the flow is
     confident there; and it must lead back to the key point that it comes from.
     """
     b_of_a = _led_to(warp.b_from_a, warp.confidence_a, px_a, px_b, max_distance_px, min_confidence)

@@ -129,7 +129,7 @@ def pair_layers(first: tuple[Image, Array], second: tuple[Image, Array], matches
 
 
 def _dots(px: Array, side_px: int) -> Array32:
-    """A picture that is 1 in the pixels where points (n, 2) lie."""
+    """An image that is 1 in the pixels where points (n, 2) lie."""
     dots = np.zeros((side_px, side_px), np.float32)
     column, row = np.floor(px[((px >= 0) & (px < side_px)).all(axis=1)]).astype(np.intp).T
     dots[row, column] = 1

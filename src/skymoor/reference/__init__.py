@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Orthophoto and DSM to one grid in local metres."""
+"""The reference: orthophoto and DSM, resampled to one grid in local metres."""

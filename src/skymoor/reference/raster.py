@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Map rasters: what they cover, and reading them without trust."""
+"""Map rasters: their coverage, and reading them with all checks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 GDAL_CACHE_MB = 256
-# Bytes that a raster may make GDAL hold at once: it decodes whole strips or tiles.
+# Largest strip or tile of a raster: GDAL decodes whole ones.
 LARGEST_BLOCK_BYTES = 512e6
 
 
@@ -41,16 +41,16 @@ def raster_files(*paths: Path) -> list[Path]:
         try:
             with opened(path) as source:
                 found += [Path(name) for name in source.files]
-        except InputError:  # whoever reads it says what is wrong
+        except InputError:  # the reader reports what is wrong
             found.append(path)
     return found
 
 
 @dataclass(frozen=True, eq=False)
 class MapRaster:
-    """Where a raster lies. Pixels (n, 2): u along columns, v along rows, first pixel centre at (0.5, 0.5).
+    """Georeference of a raster. Pixels (n, 2): u along columns, v along rows, first pixel centre at (0.5, 0.5).
 
-    `map_from_px` is GDAL's geotransform, `shape` is (rows, columns), `vertical_datum` is what the CRS says or None.
+    `map_from_px` is GDAL's geotransform, `shape` is (rows, columns), `vertical_datum` is that of the CRS or None.
     """
 
     path: Path
@@ -61,14 +61,14 @@ class MapRaster:
 
     @classmethod
     def of(cls, path: Path) -> MapRaster:
-        """Read the header. Raises `InputError` for a file that is missing, unreadable or not on the map."""
+        """Read the header. Raises `InputError` for a file that is missing, unreadable or not georeferenced."""
         with opened(path) as source:
             wkt = source.crs.to_wkt() if source.crs else ""
             transform, shape, points = source.transform, (source.height, source.width), source.gcps[0]
             _require_readable(source, path)
         if transform.is_identity or transform.is_degenerate:
             hint = "warp it with gdalwarp" if points else "export it again as a GeoTIFF with its position"
-            raise InputError(f"{path}: the raster has no geotransform, so nothing says where it lies; {hint}")
+            raise InputError(f"{path}: the raster has no geotransform and so no position; {hint}")
         if not wkt:
             raise InputError(
                 f"{path}: the raster has no coordinate reference system; assign it, e.g. gdal_edit -a_srs EPSG:32632"
@@ -79,15 +79,16 @@ class MapRaster:
             lon, lat = raster.lonlat_from_px([[shape[1] / 2, shape[0] / 2]])[0]
         except (CRSError, ProjError) as error:
             raise InputError(
-                f"{path}: no transformation is known from its coordinate reference system to WGS 84 "
+                f"{path}: PROJ has no transformation from its coordinate reference system to WGS 84 "
                 f"({str(error).rstrip('.')}); assign the right one with gdal_edit -a_srs"
             ) from None
         if not (raster.crs.is_projected or raster.crs.is_geographic):
             raise InputError(
-                f"{path}: its coordinate reference system ({crs.name}) is not that of a map; warp it to one"
+                f"{path}: its coordinate reference system ({crs.name}) is neither projected nor geographic; "
+                "warp the raster to one that is"
             )
         if not (np.isfinite(lon) and abs(lat) <= 90):
-            raise InputError(f"{path}: its geotransform lies outside its coordinate reference system; check both")
+            raise InputError(f"{path}: its position is outside the area of its coordinate reference system; check both")
         return raster
 
     def px_from_lonlat(self, lonlat: ArrayLike) -> Array:
@@ -107,7 +108,7 @@ class MapRaster:
 
     @cached_property
     def _map_from_lonlat(self) -> Transformer:
-        # Ballpark transformations ignore the datum, which costs up to hundreds of metres without a word.
+        # Ballpark transformations ignore the datum, which can cost hundreds of metres without an error.
         return Transformer.from_crs("EPSG:4326", self.crs, always_xy=True, allow_ballpark=False)
 
     def border_px(self, steps: int = 32) -> Array:
@@ -119,7 +120,7 @@ class MapRaster:
         return unit * [columns, rows]
 
     def extent(self) -> str:
-        """The covered range of latitude and longitude in words."""
+        """The covered range of latitude and longitude, as text."""
         lonlat = self.lonlat_from_px(self.border_px())
         (west, south), (east, north) = lonlat.min(axis=0), lonlat.max(axis=0)
         return f"{self.path} covers latitude {south:.5f} to {north:.5f}, longitude {west:.5f} to {east:.5f}"
@@ -138,9 +139,9 @@ def opened(path: Path) -> Iterator[DatasetReader]:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; check the path")
     with _named_errors(str(path)), warnings.catch_warnings():
-        # A raster without a position is refused by name, not warned of.
+        # A raster without a position is an error that names it, not a warning.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        # Older GeoTIFFs hide their vertical CRS unless asked.
+        # GDAL reports the vertical CRS of older GeoTIFFs on request only.
         with rasterio.Env(GTIFF_REPORT_COMPD_CS=True, GDAL_CACHEMAX=GDAL_CACHE_MB):
             source = rasterio.open(path)
     with source:
@@ -151,17 +152,17 @@ def _require_readable(source: DatasetReader, path: Path) -> None:
     if any(kind.startswith("complex") for kind in source.dtypes):
         raise InputError(f"{path}: its pixels are complex numbers, neither colours nor heights; check the file")
     for (rows, columns), kind in zip(source.block_shapes, source.dtypes, strict=True):
-        held = rows * columns * np.dtype(kind).itemsize
-        if held > LARGEST_BLOCK_BYTES:
+        block_bytes = rows * columns * np.dtype(kind).itemsize
+        if block_bytes > LARGEST_BLOCK_BYTES:
             raise InputError(
-                f"{path}: stores {columns} by {rows} pixels in one piece of {held / 1e6:.0f} MB; write it again in "
-                "tiles (gdal_translate -co TILED=YES)"
+                f"{path}: stores {columns} by {rows} pixels in one block of {block_bytes / 1e6:.0f} MB; write it "
+                "again in tiles (gdal_translate -co TILED=YES)"
             )
 
 
 @contextmanager
 def _named_errors(path: str) -> Iterator[None]:
-    """Turn what GDAL cannot read into an `InputError` that names the file."""
+    """Turn GDAL's errors into an `InputError` that names the file."""
     try:
         yield
     except RasterioError as error:
@@ -213,12 +214,12 @@ def read_colours(source: DatasetReader, window: Window, step: tuple[int, int] = 
 
 
 def has_palette(source: DatasetReader) -> bool:
-    """Whether pixels are numbers of colours, each 0 to 255."""
+    """Whether pixels are indices of a colour table, each 0 to 255."""
     return bool(source.colorinterp[0] == ColorInterp.palette and source.count <= 2)
 
 
 def window_around(px: Array, shape: tuple[int, int], step: tuple[int, int]) -> Window | None:
-    """Window of a raster of that shape, on whole blocks of `step`, around pixels (n, 2); None if they lie outside."""
+    """Window of a raster of that shape, on whole blocks of `step`, around pixels (n, 2); None if they are outside."""
     px = px[np.isfinite(px).all(axis=1)]
     if not len(px):
         return None
@@ -245,7 +246,7 @@ def block_mean(values: NDArray[Any], step: tuple[int, int]) -> NDArray[Any]:
 
 
 def clipped_to_raster(polygon: ArrayLike, raster: MapRaster) -> Array:
-    """The part (m, 2) of a polygon (n, 2) in pixels that lies on a raster; m = 0 when none does."""
+    """The part (m, 2) of a polygon (n, 2) in pixels that is inside a raster; m = 0 when none is."""
     corners = [tuple(corner) for corner in np.asarray(polygon, dtype=np.float64) if np.isfinite(corner).all()]
     for axis, bound, sign in ((0, 0.0, 1), (0, raster.shape[1], -1), (1, 0.0, 1), (1, raster.shape[0], -1)):
         kept: list[tuple[float, ...]] = []

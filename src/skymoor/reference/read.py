@@ -34,11 +34,11 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 TILE_PX = 1024
-# Side of what one tile may read of a source, in pixels: memory is bounded by it, however large the source.
+# Largest side of the window of a source that one tile reads, in pixels: it bounds the memory.
 WINDOW_PX = 2048
-# Of one source; they take ten minutes to read.
+# Pixels of one source in the overlap; they take ten minutes to read.
 LARGEST_OVERLAP_PX = 4e9
-# Heights on Earth, with a margin for geoid and towers; beyond are feet, centimetres or a nodata value not declared.
+# Heights on Earth, with a margin for geoid and towers; beyond are feet, centimetres or an undeclared nodata value.
 HEIGHT_RANGE_M = (-1000.0, 10000.0)
 MIN_SIDE_PX = 8
 STRETCH_PERCENT = (1.0, 99.0)
@@ -55,17 +55,17 @@ def read_reference(
     pixel_m: float | None = None,
     progress: Progress = no_progress,
 ) -> Reference:
-    """Read an orthophoto and a DSM, in whatever CRS each, onto one grid in the local frame at their overlap's centre.
+    """Read an orthophoto and a DSM, each in any CRS, into one grid in the local frame at the centre of their overlap.
 
-    `vertical_datum` says what the DSM's heights refer to ("ellipsoid" or a vertical CRS such as "EPSG:3855"); None
+    `vertical_datum` is the datum of the DSM's heights ("ellipsoid" or a vertical CRS such as "EPSG:3855"); None
     takes it from the DSM's CRS. `covariance` (3, 3) is the reference's accuracy in m^2, east-north-up. The grid's
-    pixel is the orthophoto's, or `pixel_m` if that is coarser, and coarser still to stay below `max_pixels`. Sources
+    pixel is the orthophoto's, or `pixel_m` if that is coarser, and larger if needed to stay below `max_pixels`. Sources
     are read tile by tile, so that memory depends on `max_pixels` and not on their size (docs/limits.md).
-    Raises `InputError`, one line that names the file and the mend, for all that is wrong with the input.
+    Raises `InputError`, one line that names the file and the remedy, for every fault of the input.
     """
     covariance = checked_covariance(covariance)
     if Path(ortho).exists() and Path(dsm).exists() and Path(ortho).samefile(dsm):
-        raise InputError(f"{dsm}: is named as the orthophoto and as its DSM; name two files")
+        raise InputError(f"{dsm}: is given both as the orthophoto and as its DSM; give two files")
     maps = MapRaster.of(Path(ortho)), MapRaster.of(Path(dsm))
     datum = _agreed_datum(maps[1], vertical_datum)
     overlap = _overlap(*maps)
@@ -73,7 +73,7 @@ def read_reference(
         sources = stack.enter_context(opened(maps[0].path)), stack.enter_context(opened(maps[1].path))
         _require_heights(sources[1], maps[1].path)
         for raster in maps:
-            _require_finite_work(raster, overlap)
+            _require_readable_size(raster, overlap)
         site = _Site.of(maps, overlap, sources[1], datum)
         grid = site.grid(maps[0], overlap, max_pixels, pixel_m)
         rgb, mask, height = _resampled(sources, maps, site, grid, progress)
@@ -107,7 +107,7 @@ def _resampled(
 def _agreed_datum(dsm: MapRaster, stated: str | None) -> str:
     if stated is None and dsm.vertical_datum is None:
         raise InputError(
-            f"{dsm.path}: nothing says what its heights refer to; set reference.vertical_datum to "
+            f"{dsm.path}: nothing says which vertical datum its heights have; set reference.vertical_datum to "
             '"ellipsoid" or to the EPSG code of a vertical CRS, such as "EPSG:3855"'
         )
     if stated is not None and dsm.vertical_datum is not None and not same_vertical_datum(stated, dsm.vertical_datum):
@@ -126,7 +126,7 @@ def _overlap(ortho: MapRaster, dsm: MapRaster) -> Array:
     polygon = clipped_to_raster(dsm.px_from_lonlat(border), dsm)
     if len(polygon) < 3:
         raise InputError(f"orthophoto and DSM do not overlap: {ortho.extent()}; {dsm.extent()}; check both files")
-    # The corners that clipping makes are far apart, and straight lines in one CRS bend in another.
+    # The corners after clipping are far apart, and straight lines in one CRS are curves in another.
     t = np.arange(8)[:, None, None] / 8
     dense = polygon * (1 - t) + np.roll(polygon, -1, axis=0) * t
     return dsm.lonlat_from_px(dense.transpose(1, 0, 2).reshape(-1, 2))
@@ -134,7 +134,7 @@ def _overlap(ortho: MapRaster, dsm: MapRaster) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Site:
-    """The local frame, and how the DSM's numbers become metres in it."""
+    """The local frame, and the conversion of the DSM's heights to metres in it."""
 
     frame: EnuFrame
     heights: Heights
@@ -157,15 +157,15 @@ class _Site:
                 "check the file"
             )
         to_ellipsoid = ellipsoid_from_datum(datum, overlap[:, 1], overlap[:, 0])
-        zero, kilo = to_ellipsoid(lat, lon, [0.0, 1000.0])
-        unit = float(kilo - zero) / 1000.0
+        at_zero, at_1000 = to_ellipsoid(lat, lon, [0.0, 1000.0])
+        unit = float(at_1000 - at_zero) / 1000.0
         if str(source.units[0]).lower().startswith(("f", "us survey f")) and unit > 0.99:
             raise InputError(
-                f"{maps[1].path}: its band says that heights are in {source.units[0]}, its datum is in metres; "
+                f"{maps[1].path}: its band has heights in {source.units[0]}, its vertical datum is in metres; "
                 "convert the heights, or state a vertical CRS in feet"
             )
         _require_plausible(maps[1].path, heights, unit)
-        return cls(EnuFrame(lat, lon, float(zero + unit * np.nanmedian(heights))), to_ellipsoid, unit)
+        return cls(EnuFrame(lat, lon, float(at_zero + unit * np.nanmedian(heights))), to_ellipsoid, unit)
 
     def grid(self, ortho: MapRaster, overlap: Array, max_pixels: float, pixel_m: float | None) -> Grid:
         """North-up grid of the overlap's bounding box."""
@@ -189,11 +189,11 @@ def _colour_tile(
     if cut is None:
         return np.zeros((*lattice.shape, 3), np.uint8), np.zeros(lattice.shape, bool)
     colours, valid = read_colours(source, cut.window, cut.thin)
-    # Colours count by their validity throughout, so that no black leaks in from where there is no image.
+    # Colours are weighted by their validity, so that nodata does not darken the border.
     weighted = np.concatenate([stretch(colours) * valid[..., None], valid[..., None]], axis=-1)
     map_u, map_v = (np.nan_to_num(p - 0.5, nan=-9.0).astype(np.float32) for p in (cut.u, cut.v))
     blocks = block_mean(weighted, cut.step)
-    # Beyond the border the nearest block holds on for half of itself; what is outside the raster is masked below.
+    # The nearest block is extrapolated by half its size; pixels outside the raster are masked below.
     mixed = cv2.remap(blocks, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     inside = (cut.u >= 0) & (cut.v >= 0) & (cut.u <= blocks.shape[1]) & (cut.v <= blocks.shape[0])
     mask = (mixed[..., 3] >= 0.5) & inside
@@ -207,7 +207,7 @@ def _height_tile(source: DatasetReader, raster: MapRaster, lattice: Lattice, sit
         return np.full(lattice.shape, np.nan, np.float32)
     heights = read_heights(source, cut.window, cut.thin)
     _require_plausible(raster.path, heights, site.dsm_unit_m)
-    # OpenCV rounds its weights to 1/32 pixel, which would show in heights.
+    # OpenCV rounds its weights to 1/32 pixel, too coarse for heights.
     own = sample(block_mean(heights, cut.step), np.column_stack([cut.u.ravel(), cut.v.ravel()]))
     lat, lon, level = lattice.lla.T
     # The geoid minus the height of the plane up = 0, which bends away from the ellipsoid, is smooth.
@@ -217,7 +217,7 @@ def _height_tile(source: DatasetReader, raster: MapRaster, lattice: Lattice, sit
 
 def _tile_px(maps: tuple[MapRaster, MapRaster], frame: EnuFrame, grid: Grid) -> int:
     finest = min(float(np.linalg.norm(raster.pixel_sides_m(frame), axis=1).min()) for raster in maps)
-    # A cut reads every pixel up to twice as many as it needs, and thins beyond.
+    # A cut reads every pixel up to twice as many as it needs, and subsamples beyond.
     samples = min(grid.pixel_m / finest, 2.0 * SAMPLES)
     return int(np.clip(WINDOW_PX / samples, 32, TILE_PX))
 
@@ -229,7 +229,7 @@ def _tiles(shape: tuple[int, int], side: int) -> Iterator[tuple[slice, slice]]:
 
 
 def _stretch(source: DatasetReader, raster: MapRaster) -> Callable[[Array32], Array32]:
-    """What brings colours to 0..255: nothing for 8 bits, else the middle 98 % of all valid values of all bands."""
+    """The stretch to 0..255: none for 8 bits, else linear over the middle 98 % of all valid values of all bands."""
     if has_palette(source) or all(kind == "uint8" for kind in source.dtypes):
         return lambda colours: colours
     rows, columns = raster.shape
@@ -244,31 +244,29 @@ def _stretch(source: DatasetReader, raster: MapRaster) -> Callable[[Array32], Ar
 
 def _require_heights(source: DatasetReader, path: Path) -> None:
     if source.count >= 3 and all(kind == "uint8" for kind in source.dtypes):
-        raise InputError(
-            f"{path}: holds {source.count} bands of 8 bits, a picture and no heights; is it the orthophoto?"
-        )
+        raise InputError(f"{path}: has {source.count} bands of 8 bits: an image, not heights; is it the orthophoto?")
     scale, offset = source.scales[0], source.offsets[0]
     if not (np.isfinite(scale) and np.isfinite(offset)) or scale == 0:
         raise InputError(
-            f"{path}: its band says scale {scale:g} and offset {offset:g}; correct them (gdal_edit -scale)"
+            f"{path}: its band has scale {scale:g} and offset {offset:g}; correct them (gdal_edit -scale -offset)"
         )
 
 
-def _require_finite_work(raster: MapRaster, overlap: Array) -> None:
+def _require_readable_size(raster: MapRaster, overlap: Array) -> None:
     window = window_around(raster.px_from_lonlat(overlap), raster.shape, (1, 1))
     if window is not None and window.width * window.height > LARGEST_OVERLAP_PX:
         raise InputError(
-            f"{raster.path}: {window.width} by {window.height} of its pixels lie where orthophoto and DSM overlap, at "
-            f"most {LARGEST_OVERLAP_PX:g} are read; cut the site out of it (gdal_translate -projwin)"
+            f"{raster.path}: {window.width} by {window.height} of its pixels are in the overlap of orthophoto and DSM, "
+            f"at most {LARGEST_OVERLAP_PX:g} are read; crop it to the site (gdal_translate -projwin)"
         )
 
 
 def _require_plausible(path: Path, heights: Array, unit_m: float) -> None:
     metres = heights[np.isfinite(heights)] * unit_m
-    absurd = metres[(metres < HEIGHT_RANGE_M[0]) | (metres > HEIGHT_RANGE_M[1])]
-    if absurd.size:
+    impossible = metres[(metres < HEIGHT_RANGE_M[0]) | (metres > HEIGHT_RANGE_M[1])]
+    if impossible.size:
         raise InputError(
-            f"{path}: {absurd.size} heights are not on Earth, such as {absurd[0] / unit_m:g}; declare that "
+            f"{path}: {impossible.size} heights are impossible, such as {impossible[0] / unit_m:g}; declare that "
             "nodata value (gdal_edit -a_nodata), or convert the heights to metres"
         )
 
@@ -279,4 +277,4 @@ def _require_data(maps: tuple[MapRaster, MapRaster], mask: Mask, known: Mask) ->
     if not known.any():
         raise InputError(f"{maps[1].path}: no valid height where it overlaps the orthophoto; check its nodata value")
     if not (mask & known).any():
-        raise InputError(f"{maps[0].path}: its valid pixels nowhere meet valid heights of {maps[1].path}; check both")
+        raise InputError(f"{maps[0].path}: none of its valid pixels has a valid height in {maps[1].path}; check both")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the pixels of a grid to those of a raster in another CRS, a tile at a time."""
+"""Mapping of the pixels of a grid to those of a raster in another CRS, tile by tile."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from skymoor.reference.raster import MapRaster, window_around
 
 Array = NDArray[np.float64]
 
-# Between nodes this far apart, map projections, the geoid and the curvature of the Earth are straight lines to well
-# below a millimetre.
+# Between nodes this far apart, map projections, the geoid and the curvature of the Earth are linear to well below a
+# millimetre.
 LATTICE_PX = 16
 LATTICE_M = 80.0
-# The mean over so many samples along a side tells no less than the mean over hundreds.
+# Samples along the side of a pixel; the mean over more does not improve.
 SAMPLES = 32
 
 
@@ -50,9 +50,9 @@ class Lattice:
         table = values.reshape(len(self.nodes[0]), len(self.nodes[1]))
         for axis in (0, 1):
             nodes, centres = self.nodes[axis], self.centres[axis]
-            place = (centres - nodes[0]) / max(nodes[1] - nodes[0], 1e-9)
-            low = np.minimum(place.astype(np.intp), len(nodes) - 2)
-            share = np.expand_dims(place - low, 1 - axis)
+            position = (centres - nodes[0]) / max(nodes[1] - nodes[0], 1e-9)
+            low = np.minimum(position.astype(np.intp), len(nodes) - 2)
+            share = np.expand_dims(position - low, 1 - axis)
             table = np.take(table, low, axis) * (1.0 - share) + np.take(table, low + 1, axis) * share
         return table
 
@@ -64,9 +64,9 @@ class Lattice:
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """The part of a raster under a tile of the grid: of `window` every `thin`-th row and column is read.
+    """The part of a raster under a tile of the grid: every `thin`-th row and column of `window` is read.
 
-    Blocks of `step` of what was read are to be averaged before sampling.
+    The samples are averaged over blocks of `step` before resampling.
     """
 
     window: Window
@@ -77,7 +77,7 @@ class Cut:
 
     @classmethod
     def of(cls, raster: MapRaster, lattice: Lattice) -> Cut | None:
-        """None where the raster does not reach."""
+        """The cut for a tile; None where the raster does not cover it."""
         u, v = lattice.px(raster)
         rates = _rate(v), _rate(u)
         thin = tuple(max(1, rate // SAMPLES) for rate in rates)
@@ -96,10 +96,10 @@ class Cut:
         )
 
 
-def _rate(place: Array) -> int:
+def _rate(source_px: Array) -> int:
     """Whole source pixels per grid pixel, from the source column (or row) of each pixel of a tile, at least 1."""
-    rows, columns = place.shape
-    across = np.ptp(place[rows // 2]) / max(columns - 1, 1)
-    down = np.ptp(place[:, columns // 2]) / max(rows - 1, 1)
+    rows, columns = source_px.shape
+    across = np.ptp(source_px[rows // 2]) / max(columns - 1, 1)
+    down = np.ptp(source_px[:, columns // 2]) / max(rows - 1, 1)
     rate = float(np.hypot(across, down))
     return max(1, round(rate)) if np.isfinite(rate) else 1

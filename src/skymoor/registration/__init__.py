@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pixels to points, points to a place on Earth, its accuracy, and whether it is accepted (paper, section 3.3)."""
+"""From 2D matches to a georeferenced model: lifting, registration, accuracy and acceptance (paper, section 3.3)."""
 
 from skymoor.registration.airborne import RegisterOptions, independent_cells, register, restated, with_covariance_of
 from skymoor.registration.covariance import CameraAccuracy, camera_accuracy

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""3D matches to a place on Earth (paper, section 3.3, compute 3D transforms).
+"""Registration of a levelled model from 3D matches (paper, section 3.3, compute 3D transforms).
 
-Both sides are level, so two matches make a hypothesis; the consensus is then adjusted with all seven parameters, and
-how far that tilts the model is a sign of how right it is.
+Both frames are level, so two matches give a hypothesis; the consensus is then adjusted with all seven parameters. A
+large tilt of the adjusted transform indicates a wrong registration.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ VERTICAL_FLOOR_M, HORIZONTAL_FLOOR_M = 0.1, 0.05
 
 @dataclass(frozen=True)
 class RegisterOptions:
-    """Estimation and refusal.
+    """Estimation and acceptance of a registration.
 
     Attributes:
         inlier_m: largest residual of an inlier; never below two pixels of the reference.
-        correlation_m: matches closer than this repeat each other: they count once in the refusal.
-        tilt_sigma_deg: how well the model is levelled beforehand; a weak observation that holds small models upright.
+        correlation_m: matches closer than this are not independent: they count once (see `min_cells`).
+        tilt_sigma_deg: uncertainty of the levelling beforehand; a weak observation that stabilises small models.
         min_inliers, min_inlier_ratio: fewer are a refusal (the ratio is the paper's).
         min_cells: independent cells of `correlation_m` that must hold inliers.
         max_tilt_deg: a registration that tilts the level model by more is a refusal.
@@ -58,7 +58,7 @@ def register(
 ) -> Registration:
     """The similarity that most matches agree on, its covariance and its residuals; not yet accepted or refused.
 
-    `registered` is False only where no transform could be estimated. The covariance takes longer than all else; in a
+    `registered` is False only where no transform could be estimated. The covariance is the slowest part; in a
     search it can be left out, see `with_covariance_of`.
     """
     options = options or RegisterOptions()
@@ -85,17 +85,17 @@ def register(
 def with_covariance_of(
     found: Registration, matches: Matches3D, options: RegisterOptions, *, rng: np.random.Generator
 ) -> Registration:
-    """The registration with the covariance that its inliers give it.
+    """The registration with the covariance from its inliers.
 
-    Windows of neighbouring matches overlap: five thousand matches are not five thousand measurements.
+    The errors of neighbouring matches are correlated, since their windows overlap; see `matched_covariance`.
 
-    Raises `TooFewMatches` and `DegenerateGeometry` where they leave the transform open.
+    Raises `TooFewMatches` and `DegenerateGeometry` where the inliers do not determine the transform.
     """
     transform = found.enu_from_level
     if transform is None or found.inliers is None or not found.inliers.any():
-        raise TooFewMatches("a registration without inliers has no accuracy")
+        raise TooFewMatches("a registration without inliers has no covariance")
     source, target = matches.xyz_level[found.inliers], matches.xyz_enu[found.inliers]
-    covariance, centre, reach_m = matched_covariance(
+    covariance, centre, correlation_m = matched_covariance(
         source,
         target,
         transform,
@@ -103,12 +103,12 @@ def with_covariance_of(
         tilt_sigma_deg=options.tilt_sigma_deg,
         rng=rng,
     )
-    diagnostics = {**found.diagnostics, "errors_reach_m": reach_m}
+    diagnostics = {**found.diagnostics, "errors_reach_m": correlation_m}
     return replace(found, covariance=covariance, centroid_enu=centre, diagnostics=diagnostics)
 
 
 def restated(found: Registration, enu_from_level: Similarity, matches: Matches3D, inlier_m: float) -> Registration:
-    """The registration with a transform from elsewhere, and with what the matches say of that one."""
+    """The registration with another transform, and inliers and residuals of the matches under it."""
     residuals = enu_from_level.apply(matches.xyz_level) - matches.xyz_enu
     inliers = np.linalg.norm(residuals, axis=1) <= inlier_m
     near = residuals[inliers]
@@ -124,12 +124,12 @@ def restated(found: Registration, enu_from_level: Similarity, matches: Matches3D
 
 
 def independent_cells(xyz: Array, cell_m: float) -> int:
-    """How many cells of `cell_m` hold at least one of the points (n, 3), or of their places in plan (n, 2)."""
+    """How many cells of `cell_m` hold at least one of the points (n, 3), or of their plan positions (n, 2)."""
     return len(np.unique(np.floor(xyz / cell_m).astype(np.int64), axis=0)) if len(xyz) else 0
 
 
 def _spread(residuals: Array) -> Array:
-    """Robust standard deviation per axis, the horizontal ones alike."""
+    """Robust standard deviation per axis, the same for both horizontal axes."""
     mad = 1.4826 * np.median(np.abs(residuals - np.median(residuals, axis=0)), axis=0)
     horizontal = max(float(np.hypot(mad[0], mad[1]) / np.sqrt(2)), HORIZONTAL_FLOOR_M)
     return np.array([horizontal, horizontal, max(float(mad[2]), VERTICAL_FLOOR_M)])

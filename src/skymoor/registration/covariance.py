@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well a registered model and its cameras are known, and by whose fault.
+"""Error budget of camera positions: shared (reference) and relative (matches, calibration, structure from motion).
 
-Two parts: what is *shared*, the reference's own error, which moves everything on it alike and which nobody can learn
-from the images; and what is *relative* to the reference: the matches, the focal length and the reconstruction's shape.
+The *shared* part is the reference's own absolute error, which is common to all positions and not observable in the
+images. The *relative* part is the error with respect to the reference: of matches, focal length and model shape.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from skymoor.geometry import Similarity, point_covariance
 from skymoor.geometry.adjust import sandwich_covariance
 from skymoor.types import Array, Calibration, Reference, Registration
 
-CORRELATION_LENGTHS = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # over which errors are alike, of the model's length
-CORRELATED_FRACTIONS = (0.0, 0.03, 0.1, 0.3, 0.6, 0.9)  # of the variance that is so
-MATCHES, LIKELIHOOD_MATCHES = 1000, 400  # of which the covariance and the likelihood are made, at most
+CORRELATION_LENGTHS = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # tried, as shares of the model's extent
+CORRELATED_FRACTIONS = (0.0, 0.03, 0.1, 0.3, 0.6, 0.9)  # of the variance, tried
+MATCHES, LIKELIHOOD_MATCHES = 1000, 400  # at most used for the covariance and for the likelihood
 MIN_MATCHES = 8
-PLAN_RANK = 1e-6  # spread across a line in plan, of that along it, below which places are on the line
+PLAN_RANK = 1e-6  # ratio of singular values below which plan positions are collinear
 SMALLEST_VARIANCE_M2 = 1e-12  # a micrometre: residuals that are exactly zero have no likelihood
 SHAPE_FACTOR = 2.0
-"""By which standard deviations of camera centres exceed what independent pixel errors would make them. Errors of
-pixels are not independent: docs/benchmarks.md has what was measured."""
+"""Factor on the formal standard deviations of camera centres: errors of observations are not independent, as the
+formal covariance assumes. docs/benchmarks.md has the measurements."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraAccuracy:
-    """Covariances (n, 3, 3) of camera positions, m^2 in ENU: of the reference's error, and of all others."""
+    """Covariances (n, 3, 3) of camera positions, m^2 in ENU: of the reference's error, and of all other errors."""
 
     shared: Array
     relative: Array
 
     @property
     def total(self) -> Array:
-        """Of both."""
+        """Sum of both parts."""
         return self.shared + self.relative
 
 
@@ -51,37 +51,38 @@ def matched_covariance(
     tilt_sigma_deg: float,
     rng: np.random.Generator,
 ) -> tuple[Array, Array, float]:
-    """Covariance (7, 7) of a transform by matches whose errors are alike where they are near.
+    """Covariance (7, 7) of a transform from matches with spatially correlated errors.
 
-    How far, and which share of the errors, is not known. All pairs of both on a grid are tried, each has the
-    likelihood of the residuals (see `_likelihoods`), and the covariances that follow from them are averaged by those.
-    So an error that reaches over the whole model, and hides in its place, is believed to be possible.
+    Correlation length and correlated fraction of the errors are unknown. The covariances for all pairs of both on a
+    grid are averaged, weighted by the likelihood of the residuals (see `_likelihoods`). So the result includes the
+    possibility of an error that is common to the whole model, which the adjustment absorbs in the transform.
 
     Args:
         source, target: (n, 3) each.
-        transform: what the adjustment made of them.
-        sigma_m: (3,) standard deviation of a match.
+        transform: target from source, adjusted.
+        sigma_m: (3,) standard deviation of a match per axis.
         tilt_sigma_deg: of the adjustment.
-        rng: of the choice of matches, where there are many.
+        rng: draws the matches that are used, where there are many.
 
     Returns:
-        the covariance, the point (3,) it refers to (see `refine_similarity`), and about how far errors reach, metres.
+        the covariance, the point (3,) it refers to (see `refine_similarity`), and the mean correlation length of horizontal
+        errors in metres.
 
-    Raises `TooFewMatches` for fewer than eight, and `DegenerateGeometry` where they leave the transform open.
+    Raises `TooFewMatches` for fewer than eight, and `DegenerateGeometry` where they do not determine the transform.
     """
     n = len(source)
     if n < MIN_MATCHES:
-        raise TooFewMatches(f"{n} matches do not say how sure they are, {MIN_MATCHES} are needed")
-    some = np.sort(rng.permutation(n)[:MATCHES])
-    source, target = source[some], target[some]
-    placed = transform.apply(source)
-    gap = cdist(placed, placed)
-    reaches = [max(float(gap.max()) * ratio, 1.0) for ratio in CORRELATION_LENGTHS]
-    few = np.sort(rng.permutation(len(some))[:LIKELIHOOD_MATCHES])
-    residuals = (placed - target)[few]
-    near = [_matern32(gap[np.ix_(few, few)], reach) for reach in reaches]
-    kinds = _likelihoods([residuals[:, :2], residuals[:, 2:]], placed[few, :2], near)
-    horizontal, vertical = _mean_covariances(gap, reaches, kinds, white=len(some) / n)
+        raise TooFewMatches(f"{n} matches are too few for a covariance; at least {MIN_MATCHES} are required")
+    chosen = np.sort(rng.permutation(n)[:MATCHES])
+    source, target = source[chosen], target[chosen]
+    transformed = transform.apply(source)
+    gap = cdist(transformed, transformed)
+    lengths = [max(float(gap.max()) * ratio, 1.0) for ratio in CORRELATION_LENGTHS]
+    few = np.sort(rng.permutation(len(chosen))[:LIKELIHOOD_MATCHES])
+    residuals = (transformed - target)[few]
+    correlations = [_matern32(gap[np.ix_(few, few)], length) for length in lengths]
+    kinds = _likelihoods([residuals[:, :2], residuals[:, 2:]], transformed[few, :2], correlations)
+    horizontal, vertical = _mean_covariances(gap, lengths, kinds, independent=len(chosen) / n)
     covariance, centre = sandwich_covariance(
         source,
         target,
@@ -90,41 +91,41 @@ def matched_covariance(
         sigma_m=sigma_m,
         tilt_sigma_deg=tilt_sigma_deg,
     )
-    return covariance, centre, float(kinds[0].likely.sum(axis=1) @ reaches)
+    return covariance, centre, float(kinds[0].posterior.sum(axis=1) @ lengths)
 
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """Of errors along some axes: how likely each reach and share is, and the variance that it leaves, both (r, s)."""
+    """Errors along chosen axes: posterior probability of each correlation length and fraction, and variance for it, (r, s)."""
 
-    likely: Array
+    posterior: Array
     variances: Array
 
 
-def _matern32(gap: Array, reach: float) -> Array:
-    """Correlation of errors at places so far apart: Matern's of smoothness 3/2."""
-    scaled = np.sqrt(3.0) / reach * gap
+def _matern32(gap: Array, length: float) -> Array:
+    """Matern correlation of smoothness 3/2 at distances `gap`, for a correlation length in the same unit."""
+    scaled = np.sqrt(3.0) / length * gap
     return np.asarray((1 + scaled) * np.exp(-scaled))
 
 
-def _likelihoods(kinds: list[Array], plan: Array, near: list[Array]) -> list[_Kind]:
-    """How likely reaches and shares are.
+def _likelihoods(kinds: list[Array], plan: Array, correlations: list[Array]) -> list[_Kind]:
+    """Posterior of correlation lengths and fractions under a uniform prior.
 
-    Restricted likelihood (Patterson and Thompson, Biometrika 1971): the fit has taken a plane out of the residuals,
-    and with it most of what reaches far; what is left is compared with what would be left of each.
+    Restricted likelihood (Patterson and Thompson, Biometrika 1971): the fit removes a plane, and with it most of the
+    long-range errors, from the residuals.
 
     Args:
         kinds: residuals (n, axes) of each kind of error.
-        plan: (n, 2) places.
-        near: correlations (n, n), one per reach.
+        plan: (n, 2) positions.
+        correlations: (n, n), one per correlation length.
     """
     n = len(plan)
     design = _plane_basis(plan)
     free = n - design.shape[1]
-    logs, variances = (np.zeros((len(kinds), len(near), len(CORRELATED_FRACTIONS))) for _ in range(2))
-    for k, alike in enumerate(near):
-        for m, share in enumerate(CORRELATED_FRACTIONS):
-            root = cholesky(share * alike + (1 - share) * np.eye(n), lower=True)
+    logs, variances = (np.zeros((len(kinds), len(correlations), len(CORRELATED_FRACTIONS))) for _ in range(2))
+    for k, correlation in enumerate(correlations):
+        for m, fraction in enumerate(CORRELATED_FRACTIONS):
+            root = cholesky(fraction * correlation + (1 - fraction) * np.eye(n), lower=True)
             fit = solve_triangular(root, design, lower=True)
             normal = fit.T @ fit
             volume = np.log(np.diag(root)).sum() + np.linalg.slogdet(normal)[1] / 2
@@ -134,15 +135,15 @@ def _likelihoods(kinds: list[Array], plan: Array, near: list[Array]) -> list[_Ki
                 variance = max(float(np.mean(np.sum(left**2, axis=0))) / free, SMALLEST_VARIANCE_M2)
                 logs[kind, k, m] = -residuals.shape[1] * (volume + free * np.log(variance) / 2)
                 variances[kind, k, m] = variance
-    likely = np.exp(logs - logs.max(axis=(1, 2), keepdims=True))
-    likely /= likely.sum(axis=(1, 2), keepdims=True)
-    return [_Kind(*pair) for pair in zip(likely, variances, strict=True)]
+    posteriors = np.exp(logs - logs.max(axis=(1, 2), keepdims=True))
+    posteriors /= posteriors.sum(axis=(1, 2), keepdims=True)
+    return [_Kind(*pair) for pair in zip(posteriors, variances, strict=True)]
 
 
 def _plane_basis(plan: Array) -> Array:
-    """Orthonormal basis (n, rank) of the functions a + b x + c y at places (n, 2).
+    """Orthonormal basis (n, rank) of the functions a + b x + c y at positions (n, 2).
 
-    Matches on a vertical wall are on one line in plan: b and c cannot be told apart there, and the rank is 2.
+    Matches on a vertical wall are collinear in plan: b and c are not separable there, and the rank is 2.
     """
     design = np.column_stack([np.ones(len(plan)), plan - plan.mean(axis=0)])
     design[:, 1:] /= max(float(np.abs(design[:, 1:]).max()), 1e-12)
@@ -150,19 +151,19 @@ def _plane_basis(plan: Array) -> Array:
     return np.asarray(basis[:, sizes > PLAN_RANK * sizes[0]])
 
 
-def _mean_covariances(gap: Array, reaches: list[float], kinds: list[_Kind], *, white: float) -> list[Array]:
-    """Covariance (n, n) of the errors of each kind, averaged over all reaches and shares.
+def _mean_covariances(gap: Array, lengths: list[float], kinds: list[_Kind], *, independent: float) -> list[Array]:
+    """Covariance (n, n) of the errors of each kind, averaged over all correlation lengths and fractions.
 
-    A part of the matches stands for all of them, whose independent errors average out further: `white` is what that
-    part of a variance counts.
+    A subset of the matches represents all of them, whose independent errors average out further: `independent` is the
+    factor on the uncorrelated part of the variance.
     """
-    shares = np.array(CORRELATED_FRACTIONS)
-    weights = [kind.likely * kind.variances for kind in kinds]
-    totals = [float((w * (1 - shares)).sum()) * white * np.eye(len(gap)) for w in weights]
-    for k, reach in enumerate(reaches):
-        alike = _matern32(gap, reach)
+    fractions = np.array(CORRELATED_FRACTIONS)
+    weights = [kind.posterior * kind.variances for kind in kinds]
+    totals = [float((w * (1 - fractions)).sum()) * independent * np.eye(len(gap)) for w in weights]
+    for k, length in enumerate(lengths):
+        correlation = _matern32(gap, length)
         for total, w in zip(totals, weights, strict=True):
-            total += float((w[k] * shares).sum()) * alike
+            total += float((w[k] * fractions).sum()) * correlation
     return totals
 
 
@@ -175,19 +176,19 @@ def camera_accuracy(
 ) -> CameraAccuracy:
     """Predicted accuracy of camera positions.
 
-    A focal length that is wrong by one percent puts every camera one percent of its height too high.
+    A focal length that is one percent too long puts every camera one percent of its height too high.
 
     Args:
         registration: with a covariance.
         centres_enu: (n, 3) metres.
         reference: its covariance is shared.
-        calibration: says how well the focal length is known; None where it does not matter.
-        shape_enu: covariances (n, 3, 3) m^2 of the reconstruction's shape, where they are known.
+        calibration: uncertainty of the focal length; None to ignore it.
+        shape_enu: formal covariances (n, 3, 3) m^2 of the camera centres within the model, where they are known.
 
     Raises `TooFewMatches` for a registration without covariance.
     """
     if registration.covariance is None or registration.centroid_enu is None:
-        raise TooFewMatches("an unregistered model has no accuracy")
+        raise TooFewMatches("a registration without a covariance has no predicted accuracy")
     centres = np.asarray(centres_enu, dtype=np.float64).reshape(-1, 3)
     relative = point_covariance(registration.covariance, registration.centroid_enu, centres)
     if calibration is not None:

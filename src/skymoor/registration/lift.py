@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""2D matches to 3D (paper, section 3.3, lifting 2D matches to 3D points)."""
+"""2D matches to 3D matches (paper, section 3.3, lifting 2D matches to 3D points)."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from skymoor.types import Array, Array32, Matches2D, Matches3D, Reference, Rende
 
 @dataclass(frozen=True)
 class LiftOptions:
-    """Which pixels have a point worth having.
+    """Which pixels are lifted to 3D points.
 
     Attributes:
         min_confidence: of the render.
-        max_step_slope: a height step within a pixel's neighbourhood steeper than this is an edge: half a pixel's error
-            of the match would become metres of height there.
+        max_step_slope: a height step within a pixel's neighbourhood steeper than this is an edge, where half a pixel of
+            match error becomes metres of height.
         edge_m: width of the neighbourhood, metres on the ground.
     """
 
@@ -38,7 +38,7 @@ def lift(
     """Points of both sides for matches from the render (a) to the reference (b).
 
     Matches are dropped where either side has no height, where the render is not confident, and near height steps of
-    either side. `metres_per_level` is about the model's scale: it says how wide an edge's neighbourhood is.
+    either side. `metres_per_level` is the approximate scale of the model; it converts `edge_m` to level units.
     """
     options = options or LiftOptions()
     xyz_level = np.column_stack([sample(render.xyz[..., axis], matches.px_a) for axis in range(3)])
@@ -56,7 +56,7 @@ def lift(
 
 
 def height_step(height: Array32, width_px: float) -> Array32:
-    """Difference between the highest and the lowest height within a square of `width_px`; inf where it has none."""
+    """Difference between the highest and the lowest height within a square of `width_px`; inf where it has no height."""
     width = 2 * max(1, round(width_px / 2)) + 1
     kernel = np.ones((width, width), np.uint8)
     known = np.isfinite(height)

@@ -21,13 +21,13 @@ def decide(
     decoys: Sequence[float] = (),
     heights: float | None = None,
 ) -> Registration:
-    """The registration with all criteria that it was asked, accepted or refused with the first that failed.
+    """The registration with all criteria that were checked, accepted or refused with the first that failed.
 
     Args:
-        registration: what the matches say.
-        scores: of the distinct hypotheses after refinement, this one first. Right answers scored 86 to 244 on the real
-            and simulated sets that we measured; wrong ones at most 32 in a reference of another site, and 65 beside
-            the right one in a square kilometre. Two hypotheses that score alike are a coin toss.
+        registration: as estimated from the matches.
+        scores: of the distinct hypotheses after refinement, this one first. Right ones scored 86 to 244 on the real and
+            simulated sets that we measured; wrong ones at most 32 in a reference of another site, and 65 besides the
+            right one in a square kilometre.
         n_matches_2d: matches before lifting.
         options: thresholds.
         decoys: null scores, see `decoy_scores`; without them `min_score` is the only limit on the score alone.
@@ -57,16 +57,16 @@ def decide(
     return with_criteria(replace(registration, diagnostics=diagnostics), criteria)
 
 
-def _of_matches(found: Registration, options: RegisterOptions, heights: float | None) -> list[Criterion]:
-    """What is asked of a transform that was estimated."""
+def _of_matches(registration: Registration, options: RegisterOptions, heights: float | None) -> list[Criterion]:
+    """Criteria of an estimated transform."""
     criteria = [
-        criterion("inliers", found.n_inliers, options.min_inliers),
-        criterion("inlier_ratio", found.inlier_ratio, options.min_inlier_ratio),
+        criterion("inliers", registration.n_inliers, options.min_inliers),
+        criterion("inlier_ratio", registration.inlier_ratio, options.min_inlier_ratio),
     ]
     if heights is not None:
         criteria.append(criterion("height_correlation", heights, options.min_height_agreement))
     return [
         *criteria,
-        criterion("cells", found.diagnostics.get("cells", 0.0), options.min_cells),
-        criterion("tilt", found.tilt_deg, options.max_tilt_deg),
+        criterion("cells", registration.diagnostics.get("cells", 0.0), options.min_cells),
+        criterion("tilt", registration.tilt_deg, options.max_tilt_deg),
     ]

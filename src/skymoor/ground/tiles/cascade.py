@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The answer of the exhaustive search for a fraction of its pairs.
+"""The result of the exhaustive search for a fraction of its pairs.
 
-One right pair is enough to know where all other photos look. So pairs are tried in the order of how alike they look
-until one of them suggests a place; the place says which tile shows what another photo shows; and a right place is
-confirmed there at once, a wrong one is not.
+One right pair of photo and tile predicts which tiles show what all other photos show. So pairs are matched in the order
+of their similarity until one of them yields a hypothesis, and hypotheses are tested on other photos: a right one is
+confirmed at once, a wrong one is not.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ SAMPLES = 150
 
 @dataclass(frozen=True)
 class CascadeOptions:
-    """How pairs are saved.
+    """Limits of the search and of its tests.
 
     Attributes:
         min_coverage: tiles that show less than this share are left out.
-        max_share: of all pairs, after which the search gives up: what is nowhere is found nowhere.
+        max_share: of all pairs, after which the search ends without a result.
         budget_s: seconds after which it does so.
-        tested: places that are tested on other photos after each round.
-        probes: photos on which a place is tested first.
-        seen_tiles: tiles per photo that are matched once a place is confirmed.
-        min_shown, reach_m: a tile sees what a photo sees if it shows this share of the photo's points this near.
-        same_m: places that put the model's points this close to each other are one.
+        tested: hypotheses that are tested on other photos after each round.
+        probes: photos on which a hypothesis is tested first.
+        seen_tiles: tiles per photo that are matched once a hypothesis is confirmed.
+        min_shown, reach_m: a tile overlaps a photo if it shows this share of the photo's points, this near.
+        same_m: hypotheses that map the model's points this close to each other are one.
         decisive_margin: see `ConsensusOptions.min_margin`; with this one the search stops.
-        consensus: how matches become a similarity. Its scales lie round the height of a person's eyes, which is about
-            the unit of a levelled component.
-        retriever: says which tiles come first,
-        upright_weight: together with the walls that a tile shows, for that is what ground photos show: the weight of
-            their share against the likeness, both in standard deviations. The order is drawn with these odds.
+        consensus: how matches become a similarity. Its scales are around eye height, which is approximately the unit
+            of a levelled component.
+        retriever: ranks the tiles by similarity with a photo.
+        upright_weight: weight of the share of walls in a tile against that similarity, both in standard deviations:
+            ground photos show walls. The order is drawn with these odds.
     """
 
     min_coverage: float = field(default=0.2, metadata=FIXED)
@@ -75,7 +75,7 @@ def cascade(
     progress: Progress = no_progress,
     clock: Callable[[], float] = time.monotonic,
 ) -> Registration:
-    """Where a ground component stands, by matching its photos with few tiles of the airborne renders.
+    """Registration of a ground component by matching its photos with few tiles of the airborne renders.
 
     Arguments, result and errors are those of `exhaustive`. The diagnostics also hold "out_of_time", 1 where the
     budget ended the search, and "tiles_left_out". `clock` counts seconds; no pair is started after `budget_s`.
@@ -118,15 +118,15 @@ class _Spending:
 
 
 @dataclass(eq=False)
-class _Place:
-    """A hypothesis, and how many matches of each photo (n,) agree with it.
+class _Tested:
+    """A hypothesis, and the number of matches of each photo (n,) that agree with it.
 
-    It is tested when as many photos agree as `wanted_supporters`.
+    It is tested again when as many photos agree as `needed_supporters`.
     """
 
     enu_from_level: Similarity
     inliers: NDArray[np.intp]
-    wanted_supporters: int = 1
+    needed_supporters: int = 1
     confirmed: bool = False
 
 
@@ -145,35 +145,35 @@ class _Search:
         self._spending, self._progress = spending, progress
         self._pairs: list[PairEvidence] = []
         self._done = np.tile(~usable, (len(evidence.photos), 1))
-        self._places: list[_Place] = []
+        self._hypotheses: list[_Tested] = []
         self._samples = samples_of(evidence.photos, SAMPLES, evidence.rng)
 
     def run(self) -> Registration:
-        """Rounds of one new tile per photo and of tests, until the answer is decisive or nothing is left."""
+        """Rounds of one new tile per photo and of tests, until the result is decisive or nothing is left."""
         photos = [k for k, points in enumerate(self._samples) if np.isfinite(points).all()]
         order = np.argsort(-self._likely(), axis=1, kind="stable")
         while not self._spending.over() and not self._done[photos].all():
             for photo in photos:
                 left = order[photo][~self._done[photo, order[photo]]]
                 self._try(photo, left[:1])
-            self._suggest(self._consensus(Pool.of(self._pairs)))
-            confirmed = [self._test(place) for place in self._promising()]
+            self._add(self._consensus(Pool.of(self._pairs)))
+            confirmed = [self._test(one) for one in self._promising()]
             if any(confirmed) and self._decisive():
                 break
         return self._conclude(with_icp=True)
 
     def _likely(self) -> Array:
-        """How likely tiles (n photos, n tiles) are to show what photos show, before anything is matched."""
+        """Log odds, up to a constant, that tiles (n photos, n tiles) overlap photos, before anything is matched."""
         tiles = self._evidence.airborne.tiles
         photos = [photo.raster for photo in self._evidence.photos]
-        alike = self._options.retriever(photos, [tile.raster for tile in tiles])
+        similarity = self._options.retriever(photos, [tile.raster for tile in tiles])
         upright = np.array([[tile.upright for tile in tiles]])
-        likely = _standardised(alike) + self._options.upright_weight * _standardised(upright)
-        # Chance lets photos differ: if all began with the same wall, and it were the wrong one, all would be wrong.
+        likely = _standardised(similarity) + self._options.upright_weight * _standardised(upright)
+        # Randomly, so that photos differ: if all began with the same wall, and it were a wrong one, all would be wrong.
         return np.asarray(likely + self._evidence.rng.gumbel(size=likely.shape))
 
     def _try(self, photo: int, tiles: NDArray[np.intp]) -> None:
-        """Match a photo with those of the tiles that it was not matched with, as long as there is time."""
+        """Match a photo with those of the tiles that it has not been matched with, within the budget."""
         for tile in tiles[~self._done[photo, tiles]]:
             if self._spending.over():
                 return
@@ -182,74 +182,76 @@ class _Search:
             self._done[photo, tile] = True
             self._spending.spent += 1
             self._progress(self._spending.spent, self._spending.limit)
-            for place in self._places:
-                place.inliers += self._inliers([pair], place.enu_from_level)
-            self._suggest(self._evidence.hypothesis(pair.matches, level=True))
+            for one in self._hypotheses:
+                one.inliers += self._inliers([pair], one.enu_from_level)
+            self._add(self._evidence.hypothesis(pair.matches, level=True))
 
-    def _suggest(self, placed: Similarity | None) -> None:
-        """Remember a place, unless it is known."""
-        if placed is None:
+    def _add(self, enu_from_level: Similarity | None) -> None:
+        """Keep a hypothesis, unless it is known."""
+        if enu_from_level is None:
             return
-        if all(self._evidence.apart_m(placed, p.enu_from_level) >= self._options.same_m for p in self._places):
-            self._places.append(_Place(placed, self._inliers(self._pairs, placed)))
+        if all(
+            self._evidence.apart_m(enu_from_level, p.enu_from_level) >= self._options.same_m for p in self._hypotheses
+        ):
+            self._hypotheses.append(_Tested(enu_from_level, self._inliers(self._pairs, enu_from_level)))
 
-    def _promising(self) -> list[_Place]:
-        """Places that no other photo was asked about, or that more agree with since; the best few."""
-        waiting = [p for p in self._places if not p.confirmed and self._supporters(p) >= p.wanted_supporters]
+    def _promising(self) -> list[_Tested]:
+        """Hypotheses that were not tested yet, or with more agreeing photos since; the best few."""
+        waiting = [p for p in self._hypotheses if not p.confirmed and self._supporters(p) >= p.needed_supporters]
         waiting.sort(key=lambda p: (self._supporters(p), int(p.inliers.sum())), reverse=True)
         return waiting[: self._options.tested]
 
-    def _test(self, place: _Place) -> bool:
-        """Look where other photos should look; if one agrees, look with all. Says whether that was so."""
-        wanted = self._wanted(place.enu_from_level)
-        agree = place.inliers >= self._options.consensus.min_photo_inliers
-        others = [int(photo) for photo in np.argsort(-wanted.max(axis=1), kind="stable") if not agree[photo]]
+    def _test(self, tested: _Tested) -> bool:
+        """Match other photos with the tiles that they should show; if one agrees, match all. Whether one did."""
+        expected = self._expected(tested.enu_from_level)
+        agree = tested.inliers >= self._options.consensus.min_photo_inliers
+        others = [int(photo) for photo in np.argsort(-expected.max(axis=1), kind="stable") if not agree[photo]]
         for photo in others[: self._options.probes]:
-            self._try(photo, _best(wanted[photo], 1))
-        self._refine(place)
-        place.wanted_supporters = self._supporters(place) + 1
-        if self._supporters(place) < 2:
+            self._try(photo, _best(expected[photo], 1))
+        self._refine(tested)
+        tested.needed_supporters = self._supporters(tested) + 1
+        if self._supporters(tested) < 2:
             return False
-        place.confirmed = True
-        for photo, row in enumerate(self._wanted(place.enu_from_level)):
+        tested.confirmed = True
+        for photo, row in enumerate(self._expected(tested.enu_from_level)):
             self._try(photo, _best(row, self._options.seen_tiles))
-        self._refine(place)
+        self._refine(tested)
         return True
 
-    def _refine(self, place: _Place) -> None:
-        """Let all matches near a place decide where it is: one pair alone fixes its heading poorly."""
+    def _refine(self, tested: _Tested) -> None:
+        """Fit a hypothesis to all matches near it: one pair alone determines its rotation poorly."""
         pool = Pool.of(self._pairs)
-        refined = self._consensus(pool.take(pool.gaps_m(place.enu_from_level) <= self._options.same_m))
+        refined = self._consensus(pool.take(pool.gaps_m(tested.enu_from_level) <= self._options.same_m))
         if refined is None:
             return
         inliers = self._inliers(self._pairs, refined)
-        if inliers.sum() >= place.inliers.sum():
-            place.enu_from_level, place.inliers = refined, inliers
+        if inliers.sum() >= tested.inliers.sum():
+            tested.enu_from_level, tested.inliers = refined, inliers
 
     def _consensus(self, pool: Pool) -> Similarity | None:
-        """What matches of several pairs say together: two of them and gravity make a hypothesis."""
+        """A hypothesis from matches of several pairs: two matches and gravity determine one."""
         return self._evidence.hypothesis(pool.matches, level=True)
 
-    def _wanted(self, placed: Similarity) -> Array:
-        """How well tiles (n photos, n tiles) should show what photos show, if this is the place; 0 if not at all.
+    def _expected(self, enu_from_level: Similarity) -> Array:
+        """Expected overlap of tiles and photos (n photos, n tiles) under a hypothesis; 0 if too small.
 
-        A render that looks the way the photo looks is preferred: it sees the same sides of things.
+        A render with the viewing direction of the photo is preferred: it shows the same sides of things.
         """
         airborne, options = self._evidence.airborne, self._options
-        shares = shown_shares(airborne, placed.apply(self._samples), options.reach_m)
-        looks = np.array([photo.forward_level for photo in self._evidence.photos]) @ placed.rotation.T
+        shares = shown_shares(airborne, enu_from_level.apply(self._samples), options.reach_m)
+        views = np.array([photo.forward_level for photo in self._evidence.photos]) @ enu_from_level.rotation.T
         forward = np.array([airborne.forward_enu(tile.render) for tile in airborne.tiles])
-        alike = (1 + looks[:, :2] @ forward[:, :2].T) / 2
-        return np.where((shares >= options.min_shown) & self._usable, shares * alike, 0.0)
+        parallel = (1 + views[:, :2] @ forward[:, :2].T) / 2
+        return np.where((shares >= options.min_shown) & self._usable, shares * parallel, 0.0)
 
-    def _inliers(self, pairs: Sequence[PairEvidence], placed: Similarity) -> NDArray[np.intp]:
-        """Matches of each photo (n,) that agree with a place."""
+    def _inliers(self, pairs: Sequence[PairEvidence], enu_from_level: Similarity) -> NDArray[np.intp]:
+        """Matches of each photo (n,) that agree with a hypothesis."""
         pool = Pool.of(pairs)
-        near = pool.gaps_m(placed) <= self._options.consensus.inlier_m
+        near = pool.gaps_m(enu_from_level) <= self._options.consensus.inlier_m
         return np.bincount(pool.photo[near], minlength=len(self._evidence.photos))
 
-    def _supporters(self, place: _Place) -> int:
-        return int(np.count_nonzero(place.inliers >= self._options.consensus.min_photo_inliers))
+    def _supporters(self, tested: _Tested) -> int:
+        return int(np.count_nonzero(tested.inliers >= self._options.consensus.min_photo_inliers))
 
     def _decisive(self) -> bool:
         found = self._conclude(with_icp=False)
@@ -257,12 +259,12 @@ class _Search:
         return found.registered and d["score"] >= self._options.decisive_margin * d["second_score"]
 
     def _conclude(self, *, with_icp: bool) -> Registration:
-        places = [place.enu_from_level for place in self._places]
-        return self._evidence.conclude(self._pairs, places, with_icp=with_icp)
+        hypotheses = [one.enu_from_level for one in self._hypotheses]
+        return self._evidence.conclude(self._pairs, hypotheses, with_icp=with_icp)
 
 
 def _best(row: Array, count: int) -> NDArray[np.intp]:
-    """The tiles that are wanted most, none that is not wanted."""
+    """The tiles with the largest expected overlap, without those that have none."""
     order = np.argsort(-row, kind="stable")[:count]
     return order[row[order] > 0]
 

@@ -27,14 +27,14 @@ class ConsensusOptions:
     Attributes:
         best_tiles: tiles per photo, by number of matches, whose own transform is a hypothesis (the paper's k).
         inlier_m: largest residual of an inlier (the paper's).
-        min_pair_matches: a pair with fewer suggests nothing.
+        min_pair_matches: a pair with fewer yields no hypothesis.
         matches_per_pair: drawn at random for the consensus, so that no pair outvotes the others.
         min_scale, max_scale: metres per unit of the ground model.
         max_trials: of RANSAC, per pair.
         min_inlier_ratio: over the matches of each photo's best tiles; less is a refusal (the paper's).
-        min_photos, min_photo_inliers: photos that must agree, each with so many inliers: a repeated facade can fool
+        min_photos, min_photo_inliers: photos that must agree, each with so many inliers: a repeated facade can mislead
             one photo.
-        min_margin, apart_m: the best transform must have that many times the inliers of any that puts the model's
+        min_margin, apart_m: the best transform must have that many times the inliers of any that maps the model's
             points at least so far away, on average.
         min_cells, cell_m: cubes in space that hold inliers.
         max_tilt_deg: by which the transform may tilt the levelled model.
@@ -93,14 +93,14 @@ class Pool:
         return Pool(self.matches.take(index), self.photo[index])
 
     def gaps_m(self, enu_from_level: Similarity) -> Array:
-        """Distances (n,) that a transform leaves."""
+        """Residual distances (n,) of a transform."""
         gaps: Array = np.linalg.norm(enu_from_level.apply(self.matches.xyz_level) - self.matches.xyz_enu, axis=1)
         return gaps
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One component against one set of tiles: what matching is done with."""
+    """One component against one set of tiles: inputs and options of the matching."""
 
     photos: tuple[GroundPhoto, ...]
     airborne: AirborneTiles
@@ -110,7 +110,7 @@ class Evidence:
     rng: np.random.Generator
 
     def match(self, photo: int, tiles: Sequence[int]) -> Iterator[PairEvidence]:
-        """Of a photo with each tile the cyclically consistent matches that have a point on both sides."""
+        """The cyclically consistent matches of a photo with each tile that have a point on both sides."""
         pairs = ((self.photos[photo].raster, self.airborne.tiles[tile].raster) for tile in tiles)
         for tile, warp in zip(tiles, match_many(self.matcher, pairs), strict=True):
             yield self._evidence(photo, tile, warp)
@@ -125,7 +125,7 @@ class Evidence:
         return PairEvidence(photo, tile, count, matches)
 
     def hypothesis(self, matches: Matches3D, *, level: bool) -> Similarity | None:
-        """What some matches alone suggest; nothing where they are too few or agree on nothing."""
+        """The similarity of some matches alone; None where they are too few or do not agree."""
         o = self.options
         if len(matches) < o.min_pair_matches:
             return None
@@ -145,7 +145,7 @@ class Evidence:
         return found.transform if found.inliers.sum() >= o.min_photo_inliers // 2 else None
 
     def best_pairs(self, pairs: Sequence[PairEvidence]) -> list[PairEvidence]:
-        """The `best_tiles` of each photo by number of matches, without those that suggest nothing."""
+        """The `best_tiles` of each photo by number of matches, without those of too few matches."""
         chosen = []
         for photo in range(len(self.photos)):
             own = [pair for pair in pairs if pair.photo == photo and pair.count >= self.options.min_pair_matches]
@@ -153,7 +153,7 @@ class Evidence:
         return chosen
 
     def apart_m(self, a: Similarity, b: Similarity) -> float:
-        """How far two transforms put the component from each other, on average."""
+        """Mean distance between the component under two transforms."""
         return float(np.linalg.norm(a.apply(self.probes) - b.apply(self.probes), axis=1).mean())
 
     def conclude(
@@ -170,28 +170,28 @@ class Evidence:
         estimated = [found_any, criterion(ESTIMATE, found.registered, 1)]
         if found.enu_from_level is None:
             return with_criteria(found, estimated)
-        placed = found.enu_from_level
-        icp = self._icp(placed, pool) if with_icp else None
+        enu_from_level = found.enu_from_level
+        icp = self._icp(enu_from_level, pool) if with_icp else None
         if icp is not None and icp.helped:
-            placed = icp.target_from_source
-        elsewhere = [s for s, h in zip(scores, hypotheses, strict=True) if self.apart_m(h, placed) >= o.apart_m]
-        score = int(np.count_nonzero(pool.gaps_m(placed) <= o.inlier_m))
-        counts = {"score": float(score), "second_score": float(max(elsewhere, default=0)), **_told(icp)}
-        counts["photos_agree"] = float(len(self.supporters(placed, pool)))
-        found = self._restated(replace(found, enu_from_level=placed), Pool.of(self.best_pairs(pairs)), counts)
+            enu_from_level = icp.target_from_source
+        elsewhere = [s for s, h in zip(scores, hypotheses, strict=True) if self.apart_m(h, enu_from_level) >= o.apart_m]
+        score = int(np.count_nonzero(pool.gaps_m(enu_from_level) <= o.inlier_m))
+        counts = {"score": float(score), "second_score": float(max(elsewhere, default=0)), **_icp_diagnostics(icp)}
+        counts["photos_agree"] = float(len(self.supporters(enu_from_level, pool)))
+        found = self._restated(replace(found, enu_from_level=enu_from_level), Pool.of(self.best_pairs(pairs)), counts)
         return with_criteria(found, [*estimated, *_criteria(found, o)])
 
-    def supporters(self, placed: Similarity, pool: Pool) -> NDArray[np.intp]:
+    def supporters(self, enu_from_level: Similarity, pool: Pool) -> NDArray[np.intp]:
         """The photos with enough inliers."""
-        near = pool.gaps_m(placed) <= self.options.inlier_m
+        near = pool.gaps_m(enu_from_level) <= self.options.inlier_m
         inliers = np.bincount(pool.photo[near], minlength=len(self.photos))
         return np.flatnonzero(inliers >= self.options.min_photo_inliers)
 
     def _refitted(self, start: Similarity, pool: Pool, *, with_covariance: bool) -> Registration:
         """Fitted to the matches near it, then to those near the fit."""
-        placed, found = start, _unplaced(pool, {})
+        enu_from_level, found = start, _unplaced(pool, {})
         for round_ in range(2):
-            near = pool.take(pool.gaps_m(placed) <= 1.5 * self.options.inlier_m)
+            near = pool.take(pool.gaps_m(enu_from_level) <= 1.5 * self.options.inlier_m)
             found = register(
                 near.matches,
                 self.airborne.pixel_m,
@@ -201,10 +201,10 @@ class Evidence:
             )
             if found.enu_from_level is None:
                 break
-            placed = found.enu_from_level
+            enu_from_level = found.enu_from_level
         return found
 
-    def _icp(self, placed: Similarity, pool: Pool) -> IcpResult | None:
+    def _icp(self, enu_from_level: Similarity, pool: Pool) -> IcpResult | None:
         """ICP on all points of both sides; taken back where the matches contradict it."""
         o = self.options
         if o.icp is None:
@@ -212,19 +212,21 @@ class Evidence:
         ground = np.concatenate([photo.known_level for photo in self.photos])
         air = np.concatenate([xyz[np.isfinite(xyz[..., 0])] for xyz in self.airborne.xyz_enu])
         try:
-            found = refine_icp(ground, air, placed, o.icp)
+            found = refine_icp(ground, air, enu_from_level, o.icp)
         except TooFewMatches:
             return None
-        before, after = (np.count_nonzero(pool.gaps_m(t) <= o.inlier_m) for t in (placed, found.target_from_source))
+        before, after = (
+            np.count_nonzero(pool.gaps_m(t) <= o.inlier_m) for t in (enu_from_level, found.target_from_source)
+        )
         if after < 0.95 * before:
-            return replace(found, target_from_source=placed, reason="the matches contradict it")
+            return replace(found, target_from_source=enu_from_level, reason="the matches contradict it")
         return found
 
     def _restated(self, found: Registration, pool: Pool, counts: dict[str, float]) -> Registration:
         """The registration with inliers and residuals of the matches of each photo's best tiles."""
-        o, placed = self.options, found.enu_from_level
-        assert placed is not None
-        found = restated(found, placed, pool.matches, o.inlier_m)
+        o, enu_from_level = self.options, found.enu_from_level
+        assert enu_from_level is not None
+        found = restated(found, enu_from_level, pool.matches, o.inlier_m)
         cells = independent_cells(pool.matches.xyz_enu[found.inliers], o.cell_m)
         return replace(found, diagnostics={**counts, "cells": float(cells)})
 
@@ -262,7 +264,7 @@ def _unplaced(pool: Pool, diagnostics: dict[str, float]) -> Registration:
     )
 
 
-def _told(icp: IcpResult | None) -> dict[str, float]:
+def _icp_diagnostics(icp: IcpResult | None) -> dict[str, float]:
     if icp is None:
         return {}
     return {"icp_helped": float(icp.helped), "icp_moved_m": icp.moved_m, "icp_overlap": icp.overlap}

@@ -25,10 +25,10 @@ def exhaustive(
     rng: np.random.Generator,
     progress: Progress = no_progress,
 ) -> Registration:
-    """Where a ground component stands, by matching each of its photos with each tile of the airborne renders.
+    """Registration of a ground component by matching each of its photos with each tile of the airborne renders.
 
-    The tiles with most matches suggest a similarity each; the one that explains most matches of all pairs is fitted
-    to them and then laid on the surface by ICP. The share of inliers is taken over the matches of the best tiles of
+    The tiles with most matches yield a similarity each; the one that explains most matches of all pairs is fitted
+    to them and then to the surface by ICP. The share of inliers is taken over the matches of the best tiles of
     each photo: the others are known to be wrong.
 
     Args:
@@ -37,7 +37,7 @@ def exhaustive(
         matcher: between a photo and a tile.
         options: see there.
         enu_from_render: by default the renders are in ENU metres.
-        rng: for the consensus; the same state gives the same answer, up to rounding.
+        rng: for the consensus; the same state gives the same result, up to rounding.
         progress: counts the pairs.
 
     Returns:
@@ -57,7 +57,7 @@ def exhaustive(
         for pair in evidence.match(photo, range(len(airborne.tiles))):
             pairs.append(pair)
             progress(len(pairs), total)
-    suggested = [evidence.hypothesis(pair.matches, level=False) for pair in evidence.best_pairs(pairs)]
-    found = evidence.conclude(pairs, [hypothesis for hypothesis in suggested if hypothesis is not None])
+    hypotheses = [evidence.hypothesis(pair.matches, level=False) for pair in evidence.best_pairs(pairs)]
+    found = evidence.conclude(pairs, [one for one in hypotheses if one is not None])
     counts = {"pairs": total, "pairs_in_all": total, "tiles": len(airborne.tiles), "photos": len(photos)}
     return replace(found, diagnostics={**found.diagnostics, **{key: float(n) for key, n in counts.items()}})

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two clouds of one place, nearly in place, to a better place (paper, section 3.4, the last step).
+"""Registration of two point clouds from an approximate start (paper, section 3.4, the last step).
 
-Point-to-plane ICP (Chen and Medioni 1992) with Tukey's loss, by Open3D. It finds the nearest answer, right or wrong:
-so the start is believed unless the clouds fix all that is free, fit better afterwards, and have not moved far.
+Point-to-plane ICP (Chen and Medioni 1992) with Tukey's loss, by Open3D. It converges to the nearest
+minimum, right or wrong: the start is kept unless the clouds determine all parameters, fit better afterwards, and have
+not moved far.
 """
 
 from __future__ import annotations
@@ -22,14 +23,13 @@ from skymoor.types import Array
 
 @dataclass(frozen=True)
 class IcpOptions:
-    """How clouds are laid on each other.
+    """Limits of ICP, and when its result is used.
 
     Attributes:
         voxel_m: both clouds are thinned to one point per voxel of this size.
-        reach_m: a point farther than this from the other cloud has no partner: half of what one cloud shows the other
-            may not.
+        reach_m: a point farther than this from the other cloud has no partner: the clouds overlap in part.
         tukey_m: distances from the partner's plane beyond this do not count.
-        max_move_m: an answer that moves the points farther than this on average is refused.
+        max_move_m: a result that moves the points farther than this on average is not used.
         min_gain: share by which the gap between the clouds must shrink. ICP trusts the surfaces, and a model from the
             air is off by half a pixel of its photos here and there: on a simulated site of 0.3 m pixels it left 0.2 to
             0.6 m of error wherever it started, with gains below this where the start was better than that.
@@ -53,7 +53,7 @@ class IcpOptions:
 
 @dataclass(frozen=True, eq=False)
 class IcpResult:
-    """What came of it. `target_from_source` is the start where ICP did not help, and `reason` says why; else it is "".
+    """Result of ICP. `target_from_source` is the start where ICP did not help, for `reason`; else that is empty.
 
     `gap_before_m` and `gap_after_m` are the root mean square distances to the other cloud's planes, none counted for
     more than `tukey_m`; `moved_m` is the mean distance that ICP would have moved the points; `overlap` the share of
@@ -74,7 +74,7 @@ class IcpResult:
 
 
 def refine_icp(source: Array, target: Array, start: Similarity, options: IcpOptions | None = None) -> IcpResult:
-    """Lay the cloud `source` (n, 3) on `target` (m, 3), which is in metres, from a `start` that is nearly right.
+    """Register the cloud `source` (n, 3) to `target` (m, 3), in metres, from an approximate `start`.
 
     Raises `TooFewMatches` when either cloud has less than `min_partners` points, `BackendUnavailable` without Open3D.
     """
@@ -87,7 +87,7 @@ def refine_icp(source: Array, target: Array, start: Similarity, options: IcpOpti
     if overlap * len(pair.source) < options.min_partners:
         return IcpResult(start, f"only {overlap:.0%} of the points have a partner", gap, gap, 0.0, overlap)
     if pair.hold(Similarity.identity(), with_scale=False) < options.min_hold:
-        return IcpResult(start, "the surfaces leave a direction open", gap, gap, 0.0, overlap)
+        return IcpResult(start, "the surfaces do not determine a direction", gap, gap, 0.0, overlap)
     step = pair.rigid()
     if options.with_scale:
         step = pair.scaled(step)
@@ -96,7 +96,9 @@ def refine_icp(source: Array, target: Array, start: Similarity, options: IcpOpti
     if moved > options.max_move_m:
         reason = f"the points would move by {moved:.2f} m, {options.max_move_m:.2f} m is the limit"
     elif after > (1 - options.min_gain) * gap:
-        reason = f"the clouds would lie closer by {max(1 - after / gap, 0):.0%} only, {options.min_gain:.0%} are needed"
+        reason = (
+            f"the clouds would be closer by only {max(1 - after / gap, 0):.0%}, {options.min_gain:.0%} are required"
+        )
     else:
         return IcpResult(step @ start, "", gap, after, moved, overlap)
     return IcpResult(start, reason, gap, after, moved, overlap)

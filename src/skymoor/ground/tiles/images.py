@@ -18,7 +18,7 @@ from skymoor.types import Array, Array32, DepthMap, Mask, Matches2D, Matches3D, 
 
 @dataclass(frozen=True)
 class TileImageOptions:
-    """What pictures are made of the inputs, and which of their pixels have a point worth having.
+    """Tiles of the renders, and which pixels have a usable point.
 
     Attributes:
         tile_px, overlap: of the tiles (the paper's).
@@ -38,7 +38,7 @@ class TileImageOptions:
 
 @dataclass(frozen=True, eq=False)
 class GroundPhoto:
-    """A levelled photo: its name, what a matcher sees, points (h, w, 3) or NaN, and its viewing direction (3,)."""
+    """A levelled photo: its name, its raster, points (h, w, 3) or NaN, and its viewing direction (3,)."""
 
     image: str
     raster: Raster
@@ -81,7 +81,7 @@ class AirborneTiles:
     pixel_m: float
 
     def forward_enu(self, render: int) -> Array:
-        """Direction (3,) that a render looks in."""
+        """Viewing direction (3,) of a render."""
         return np.asarray(self.render_from_enu.rotation.T @ self.views[render].view_from_level[2])
 
     def px_from_enu(self, render: int, xyz_enu: Array) -> Array:
@@ -94,11 +94,11 @@ class AirborneTiles:
 def tile_px_for(
     maps_level: Sequence[DepthMap], metres_per_unit: float, pixel_m: float, *, least: int = 150, most: int = 900
 ) -> int:
-    """The side of tiles that show about as much as photos do (paper, section 3.4, tiling of airborne renders).
+    """The side of tiles that cover about as much as photos do (paper, section 3.4, tiling of airborne renders).
 
     Args:
         maps_level: photos with their depth, in the unit that `metres_per_unit` is of.
-        metres_per_unit: as metric depth says it.
+        metres_per_unit: by metric depth.
         pixel_m: size of a render's pixel.
         least, most: pixels.
     """
@@ -112,7 +112,7 @@ def tile_px_for(
 
 
 def ground_photo(depth_map: DepthMap, options: TileImageOptions | None = None) -> GroundPhoto:
-    """What is matched of a levelled photo, and where its pixels lie."""
+    """A levelled photo for matching, with the points of its pixels."""
     options = options or TileImageOptions()
     depth, camera = depth_map.depth, depth_map.camera
     with np.errstate(invalid="ignore"):
@@ -154,7 +154,7 @@ def airborne_tiles(
             upright = float(walls[rows, columns].mean())
             cut.append(Tile(k, rows.start, columns.start, raster, part, coverage, upright))
     if not any(tile.coverage for tile in cut):
-        raise DegenerateGeometry("no render shows a point of the airborne model that it is sure of")
+        raise DegenerateGeometry("no render shows a point of the airborne model with enough confidence")
     pixel_m = float(np.median([r.view.pixel for r in renders])) * enu_from_render.scale
     return AirborneTiles(tuple(cut), tuple(r.view for r in renders), tuple(points), enu_from_render.inverse(), pixel_m)
 

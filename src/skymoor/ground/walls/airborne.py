@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ground photos onto the airborne model by what both share: geometry (the offline way of paper section 3.4).
+"""Registration of ground photos to the airborne model by walls, without a learned matcher (paper section 3.4).
 
-Features in raw photos do not carry from the air to the ground. Walls do: both models have them, upright and flat, and
-a wall's orthophoto looks alike from near and from far. Each ground wall is searched on each airborne wall; what the
-walls of a component agree on is refined by dense matches; and the answer that explains best what all photos show of
-all airborne walls is believed, if it is good enough and no other is nearly as good.
+Local features do not match between airborne and ground photos. Walls do: both models have them, vertical and planar,
+and the orthophoto of a wall looks alike from near and from far. Each ground wall is searched on each airborne wall; the
+hypotheses on which the walls of a component agree are refined by dense matches; the one that explains best what all
+photos show of all airborne walls is accepted, if it passes the criteria and no other is nearly as good.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from skymoor.types import DepthMap, Progress, no_progress
 
 @dataclass(frozen=True)
 class GroundOptions:
-    """How a ground component is laid on the airborne model.
+    """Registration of a ground component to the airborne model.
 
     Attributes:
-        pixel_m, ground_pixel_m: of the pictures of airborne and of ground walls.
+        pixel_m, ground_pixel_m: pixels of the orthophotos of airborne and of ground walls.
         searched_walls: largest walls of the ground model that are searched on all airborne ones.
         min_scale, max_scale: metres per unit of the ground model that are searched. A levelled component has the
-            cameras' height above the ground for its unit, but little ground is seen before a wall, so that the unit
-            may be half or one and a half times of what it ought to be.
-        max_blocked: share of the viewing rays of a guess that may cross walls.
+            cameras' height above the ground for its unit, but little ground is visible in front of a wall, so that the
+            unit may be off by half.
+        max_blocked: share of the viewing rays of a hypothesis that may cross walls.
         max_angle_deg, max_gap_m: a ground wall and an airborne wall this close are matched densely.
-        finalists: answers that are refined with all that the photos show.
-        rounds: of that refinement, each from where the last one ended.
-        polish, aside: each of them is then moved as a whole, and compared with places around.
-        min_kept: of that agreement, while matches have the last word about where it is.
+        finalists: hypotheses that are refined with all photos.
+        rounds: of that refinement, each from the end of the last one.
+        refine, perturbation: each of them is then refined as a whole, and compared with positions around.
+        min_kept: share of that agreement that must remain after the final fit to the matches.
         walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register, facade_pairs, acceptance: of the
             steps.
     """
@@ -81,10 +81,10 @@ class GroundOptions:
 
 @dataclass(frozen=True, eq=False)
 class AirborneWalls:
-    """What ground components are laid on: walls with pictures, and heights seen from above, in ENU metres."""
+    """The target of ground components: walls with orthophotos, and heights seen from above, in ENU metres."""
 
     facades: tuple[Facade, ...]
-    relief: HeightRaster
+    heights: HeightRaster
 
 
 def airborne_walls(

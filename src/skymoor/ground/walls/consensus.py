@@ -16,10 +16,10 @@ from skymoor.types import Array, Criterion, Registration
 
 @dataclass(frozen=True, eq=False)
 class WallHypothesis:
-    """A place of the whole model that one of its walls suggests, by lying on one wall of the other model.
+    """A similarity of the whole model that maps one of its walls onto one wall of the other model.
 
-    `score` is how well the two walls' pictures agree, in standard deviations above chance; of a pooled guess, how well
-    those of all its `support` walls do.
+    `score` is the agreement of the orthophotos of the two walls, in standard deviations of noise; of a pooled
+    hypothesis, that of all its `support` walls.
     """
 
     enu_from_level: Similarity
@@ -31,13 +31,13 @@ class WallHypothesis:
 
 @dataclass(frozen=True)
 class PoolOptions:
-    """How guesses are pooled.
+    """Pooling of hypotheses from single walls.
 
     Attributes:
-        screened: of the single guesses, best first.
-        lead_ratio: guesses below this share of the best one's score lead no answer; they may support one.
-        near_m: two guesses are one answer if they put the model's probes this close to each other on average.
-        keep: answers that come out.
+        screened: hypotheses that are considered, best first.
+        lead_ratio: hypotheses below this share of the best score can support others, and are not results themselves.
+        near_m: two hypotheses agree if they map the probes of the model this close to each other on average.
+        keep: hypotheses that are returned.
     """
 
     screened: int = 6000
@@ -47,47 +47,47 @@ class PoolOptions:
 
 
 def pool_hypotheses(
-    guesses: Sequence[WallHypothesis], probes: Array, options: PoolOptions | None = None
+    hypotheses: Sequence[WallHypothesis], probes: Array, options: PoolOptions | None = None
 ) -> list[WallHypothesis]:
-    """The answers that most walls agree on, best first and distinct from each other.
+    """The hypotheses on which most walls agree, best first and distinct from each other.
 
-    The pooled score is the root of the sum of squares, over the walls, of the best agreeing guess of each: the walls
-    are independent pose_checks.
+    The pooled score is the root of the sum of squares, over the walls, of the best agreeing score of each: the walls
+    are independent observations.
 
     Args:
-        guesses: of all walls.
-        probes: points (n, 3) of the model that say how far two answers are apart: its cameras and walls.
+        hypotheses: of all walls.
+        probes: points (n, 3) of the model, its cameras and walls, by which distances of hypotheses are measured.
         options: see there.
     """
     options = options or PoolOptions()
-    ranked = sorted(guesses, key=lambda guess: -guess.score)[: options.screened]
+    ranked = sorted(hypotheses, key=lambda one: -one.score)[: options.screened]
     if not ranked:
         return []
-    placed = np.array([guess.enu_from_level.apply(probes) for guess in ranked])
-    walls, scores = np.array([guess.wall for guess in ranked]), np.array([guess.score for guess in ranked])
+    placed = np.array([one.enu_from_level.apply(probes) for one in ranked])
+    walls, scores = np.array([one.wall for one in ranked]), np.array([one.score for one in ranked])
     pooled: list[WallHypothesis] = []
     for k in np.flatnonzero(scores > options.lead_ratio * scores[0]):
         near = np.linalg.norm(placed - placed[k], axis=2).mean(axis=1) < options.near_m
         best = [float(scores[near & (walls == wall)].max()) for wall in np.unique(walls[near])]
         pooled.append(replace(ranked[k], score=float(np.linalg.norm(best)), support=len(best)))
     kept: list[WallHypothesis] = []
-    for guess in sorted(pooled, key=lambda guess: -guess.score):
-        if all(_apart(guess.enu_from_level, q.enu_from_level, probes) >= 2 * options.near_m for q in kept):
-            kept.append(guess)
+    for one in sorted(pooled, key=lambda other: -other.score):
+        if all(_apart(one.enu_from_level, q.enu_from_level, probes) >= 2 * options.near_m for q in kept):
+            kept.append(one)
     return kept[: options.keep]
 
 
 @dataclass(frozen=True, eq=False)
 class RefinedHypothesis:
-    """An answer after refinement, with what the photos say of it.
+    """A hypothesis after refinement, with its agreement with the photos.
 
-    `score` and `ncc` are the agreement of all photos with `walls_seen` walls of the airborne model; `height_m` is how
-    high the cameras stand above what is seen from above (median), `blocked` the share of viewing rays that cross walls;
-    `cells` counts the independent cubes that hold inliers, see `independent_cells`; `perturbed_scores` are those of
-    positions a few metres away.
+    `score` and `ncc` are the agreement of all photos with `walls_seen` walls of the airborne model; `height_m` is the
+    height of the cameras above the surface seen from above (median), `blocked` the share of viewing rays that cross
+    walls; `cells` counts the independent cubes that hold inliers, see `independent_cells`; `perturbed_scores` are those
+    of positions a few metres away.
     """
 
-    answer: WallHypothesis
+    origin: WallHypothesis
     registration: Registration
     enu_from_level: Similarity
     score: float
@@ -100,10 +100,10 @@ class RefinedHypothesis:
 
     @property
     def contrast(self) -> float:
-        """How far the score stands out from those aside: by how much, over the root of their spread.
+        """Excess of the score over those of perturbed positions, over the root of their spread.
 
-        Walls are alike in their floors and edges, so that two models agree a little wherever walls lie on walls, the
-        more the larger they are. What only the right place explains goes when the model is moved aside.
+        Walls resemble each other in floors and edges, so that two models agree a little wherever walls coincide, the
+        more the larger they are. What only the right position explains vanishes when the model is perturbed.
         """
         if len(self.perturbed_scores) < 2:
             return 0.0
@@ -171,8 +171,8 @@ def decide_ground(
         "second_score": max((c.score for c in elsewhere), default=0.0),
         "ncc": best.ncc,
         "walls_seen": float(best.walls_seen),
-        "support": float(best.answer.support),
-        "pooled_score": best.answer.score,
+        "support": float(best.origin.support),
+        "pooled_score": best.origin.score,
         "height_m": best.height_m,
         "blocked": best.blocked,
         "cells": float(best.cells),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dense matches between a ground model and airborne walls, given about where the ground model stands."""
+"""Dense matches between a ground model and airborne walls, given an approximate registration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OVERLAP_PX = 10
 def wall_matches(
     facades: Sequence[Facade],
     others: Sequence[Facade],
-    placed: Similarity,
+    enu_from_level: Similarity,
     matcher: DenseMatcher,
     cyclic: CyclicOptions,
     *,
@@ -28,12 +28,12 @@ def wall_matches(
     max_gap_m: float,
     rng: np.random.Generator,
 ) -> Matches3D:
-    """Matches of every ground wall with every airborne wall that `placed` lays it on; points on the walls' planes.
+    """Matches of every ground wall with every airborne wall that it coincides with; points on the walls' planes.
 
     A wall's plane is known better than any single depth on it, and windows have no depth at all.
     """
     found = []
-    for facade, other, b_from_a in _couples(facades, others, placed, max_angle_deg, max_gap_m):
+    for facade, other, b_from_a in _couples(facades, others, enu_from_level, max_angle_deg, max_gap_m):
         matches, _ = match_hypothesis(facade.raster, other.raster, b_from_a, matcher, cyclic, rng=rng)
         found.append(Matches3D(facade.xyz(matches.px_a), other.xyz(matches.px_b), matches))
     return Matches3D.joined(found)
@@ -41,18 +41,18 @@ def wall_matches(
 
 def photo_matches(
     pairs: Sequence[FacadePair],
-    placed: Similarity,
+    enu_from_level: Similarity,
     matcher: DenseMatcher,
     cyclic: CyclicOptions,
     *,
     rng: np.random.Generator,
 ) -> Matches3D:
-    """Matches of what the photos show of airborne walls, also of those that the ground model has no depth of.
+    """Matches of photos with airborne walls, also of walls for which the ground model has no depth.
 
-    The ground point is on the airborne wall, moved back by `placed`: such a match says where the wall's picture must
-    move within its plane. How far the plane itself is, the other walls and `wall_matches` say.
+    The ground point is taken on the airborne wall and mapped back by `enu_from_level`: such a match determines the
+    shift within the plane of the wall. The distance of the plane follows from the other walls and `wall_matches`.
     """
-    level_from_enu = placed.inverse()
+    level_from_enu = enu_from_level.inverse()
     found = []
     for pair in pairs:
         matches = cyclic_matches(matcher(pair.ground, pair.airborne), cyclic, rng=rng)
@@ -62,24 +62,28 @@ def photo_matches(
 
 
 def _couples(
-    facades: Sequence[Facade], others: Sequence[Facade], placed: Similarity, max_angle_deg: float, max_gap_m: float
+    facades: Sequence[Facade],
+    others: Sequence[Facade],
+    enu_from_level: Similarity,
+    max_angle_deg: float,
+    max_gap_m: float,
 ) -> Iterator[tuple[Facade, Facade, Array]]:
-    """Walls that lie on each other, with the affine (2, 3) between their pixels."""
+    """Walls that coincide, with the affine (2, 3) between their pixels."""
     for facade in facades:
         if facade.raster.mask.sum() < FEWEST_PX:
             continue
-        normal = placed.rotation[:2, :2] @ facade.wall.normal
-        centre = placed.apply(facade.wall.centre)
+        normal = enu_from_level.rotation[:2, :2] @ facade.wall.normal
+        centre = enu_from_level.apply(facade.wall.centre)
         for other in others:
             parallel = normal @ other.wall.normal >= np.cos(np.radians(max_angle_deg))
             if parallel and abs(centre[:2] @ other.wall.normal - other.wall.offset) <= max_gap_m:
-                b_from_a = affine_between(facade, other, placed)
+                b_from_a = affine_between(facade, other, enu_from_level)
                 if _overlap(facade, other, b_from_a):
                     yield facade, other, b_from_a
 
 
 def _overlap(facade: Facade, other: Facade, b_from_a: Array) -> bool:
-    """Whether the pictures share more than an edge."""
+    """Whether the orthophotos share more than an edge."""
     h, w = facade.raster.mask.shape
     first, last = np.array([[0.0, 0.0], [w, h]]) @ b_from_a[:, :2].T + b_from_a[:, 2]
     shared = np.minimum(last, other.raster.mask.shape[::-1]) - np.maximum(first, 0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a facade's picture lies in others, at which scale: both are upright, so no heading is searched."""
+"""Search of one facade orthophoto in others over scale and shift: both are upright, so no rotation is searched."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class FacadeSearchOptions:
 
     Attributes:
         scale_step: spacing of the scales.
-        min_overlap: share of the picture that must lie on the other one.
-        per_pair: places that are kept of each pair of pictures at each scale.
+        min_overlap: share of the template that must lie on the other image.
+        per_pair: hypotheses that are kept of each pair of images at each scale.
         apart_px: distance between those.
-        sharp, blurred: channels of the searched pictures, taken from near, and of the others, taken from far: the
-            former are smoothed more, to look alike.
+        sharp, blurred: channels of the searched images, taken from near, and of the others, taken from far: the former
+            are smoothed more, for equal resolution.
     """
 
     scale_step: float = 1.04
@@ -40,22 +40,22 @@ class FacadeSearchOptions:
 
 @dataclass(frozen=True)
 class FacadeHypothesis:
-    """Picture `a` lies on picture `b`: pixel p of a at `scale * p + place` of b; `score` as of `correlate`."""
+    """Image `a` in image `b`: pixel p of a is at `scale * p + offset_px` of b; `score` as of `correlate`."""
 
     a: int
     b: int
     scale: float
-    place: tuple[float, float]
+    offset_px: tuple[float, float]
     score: float
 
     @property
     def matrix(self) -> Array:
         """(2, 3) affine, pixels of b from pixels of a."""
-        return np.array([[self.scale, 0.0, self.place[0]], [0.0, self.scale, self.place[1]]])
+        return np.array([[self.scale, 0.0, self.offset_px[0]], [0.0, self.scale, self.offset_px[1]]])
 
 
 def search_facades(
-    pictures: Sequence[Raster],
+    images: Sequence[Raster],
     others: Sequence[Raster],
     *,
     min_scale: float,
@@ -63,9 +63,9 @@ def search_facades(
     options: FacadeSearchOptions | None = None,
     progress: Progress = no_progress,
 ) -> list[FacadeHypothesis]:
-    """Places of each picture in each of the others, best first; scale is pixels of the other per pixel of the picture.
+    """Hypotheses of each image in each of the others, best first; scale is pixels of the other per pixel of the image.
 
-    Pictures that are too small at a scale, and others that show next to nothing, are passed over.
+    Images that are too small at a scale, and others with hardly any content, are passed over.
     """
     options = options or FacadeSearchOptions()
     targets = {
@@ -76,12 +76,12 @@ def search_facades(
     steps = max(round(float(np.log(max_scale / min_scale) / np.log(options.scale_step))), 0)
     scales = min_scale * options.scale_step ** np.arange(steps + 1)
     found: list[FacadeHypothesis] = []
-    for a, picture in enumerate(pictures):
-        pyramid = Pyramid(picture)
+    for a, image in enumerate(images):
+        pyramid = Pyramid(image)
         for scale in scales:
             found += _at_scale(a, pyramid, float(scale), targets, options)
-        progress(a + 1, len(pictures))
-    return sorted(found, key=lambda shift: -shift.score)
+        progress(a + 1, len(images))
+    return sorted(found, key=lambda one: -one.score)
 
 
 def _at_scale(
@@ -105,9 +105,9 @@ def _at_scale(
 
 @dataclass(frozen=True)
 class Drift:
-    """How well two pictures agree where they lie, `here`, and at the best place within reach, `there`, `px` away.
+    """Agreement of two images at zero shift, `here`, and at the best shift within reach, `there`, which is `px`.
 
-    Scores are as of `correlate`; `px` is (u, v) by which the first picture must move.
+    Scores are as of `correlate`; `px` is the shift (u, v) of the first image.
     """
 
     here: float
@@ -116,18 +116,18 @@ class Drift:
 
 
 def drift(
-    near: Raster, far: Raster, *, reach_px: int, still_px: int, options: FacadeSearchOptions | None = None
+    ground: Raster, airborne: Raster, *, reach_px: int, still_px: int, options: FacadeSearchOptions | None = None
 ) -> Drift | None:
-    """Whether a picture from near lies well on one from far, of the same size; None where they share too little.
+    """Agreement of a ground orthophoto with an airborne one of the same size; None where they overlap too little.
 
-    Moves up to `still_px` count as `here`; `reach_px` is the largest that is tried.
+    Shifts up to `still_px` count as `here`; `reach_px` is the largest that is tried.
     """
     options = options or FacadeSearchOptions()
-    if min(near.mask.sum(), far.mask.sum()) < FEWEST_PX:
+    if min(ground.mask.sum(), airborne.mask.sum()) < FEWEST_PX:
         return None
-    template = make_channels(near, options.sharp)
-    scores = correlate(template, Target(make_channels(far, options.blurred)), min_overlap=options.min_overlap)
-    v0, u0 = near.mask.shape[0] - 1, near.mask.shape[1] - 1
+    template = make_channels(ground, options.sharp)
+    scores = correlate(template, Target(make_channels(airborne, options.blurred)), min_overlap=options.min_overlap)
+    v0, u0 = ground.mask.shape[0] - 1, ground.mask.shape[1] - 1
     top, left = max(v0 - reach_px, 0), max(u0 - reach_px, 0)
     window = scores[top : v0 + reach_px + 1, left : u0 + reach_px + 1]
     still = scores[max(v0 - still_px, 0) : v0 + still_px + 1, max(u0 - still_px, 0) : u0 + still_px + 1]
@@ -139,14 +139,14 @@ def drift(
 def agreement(
     pairs: Sequence[tuple[Raster, Raster]], options: FacadeSearchOptions | None = None
 ) -> tuple[float, float]:
-    """NCC of pictures laid on each other, pooled over all pairs, and the score: NCC times the root of the pixels.
+    """NCC of registered images, pooled over all pairs, and the score: NCC times the root of the number of pixels.
 
-    The first of each pair is the one taken from near, resampled to the pixels of the second.
+    The first of each pair is the ground orthophoto, resampled to the pixels of the second.
     """
     options = options or FacadeSearchOptions()
     product = energy_a = energy_b = pixels = 0.0
-    for near, far in pairs:
-        a, b = make_channels(near, options.sharp), make_channels(far, options.blurred)
+    for ground, airborne in pairs:
+        a, b = make_channels(ground, options.sharp), make_channels(airborne, options.blurred)
         both = a.known[0] * b.known[0]
         product += float((a.values * b.values * both).sum())
         energy_a += float((a.values**2 * both).sum())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A wall as it looks from straight in front: an orthophoto of a vertical plane, and how two such pictures relate."""
+"""Facades: the orthophoto of a wall, and the transforms between two of them."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from skymoor.ground.walls.walls import Wall
 from skymoor.types import Array, Array32, DepthMap, Raster
 
 GUESS_DOWN_M = 0.5
-"""Below a wall comes the ground, which no plane shows rightly."""
+"""Photos without depth are used this far below a wall at most: there the ground begins."""
 
 
 @dataclass(frozen=True)
 class FacadeOptions:
-    """How walls are pictured.
+    """Orthophotos of walls.
 
     Attributes:
-        tolerance_m: a photo shows a place of the wall unless its depth there is further than this from the wall.
-        guess_weight: of photos without a depth there: windows have none, and yet are what facades are told apart by.
+        tolerance_m: a photo shows a point of the wall unless its depth there is further than this from the wall.
+        guess_weight: of photos without a depth there: windows have none, and yet distinguish facades.
         guess_margin_m: how far beyond the wall such photos count, sideways and up.
-        margin_m: by how much the picture is larger than the wall, to all sides.
-        min_cosine: of the angle between ray and wall's normal; flatter views show nothing.
-        photos: that may colour a wall, the sharpest ones.
-        blend: photos that are averaged at a place.
-        max_px: long side of a picture.
+        margin_m: by how much the orthophoto is larger than the wall, to all sides.
+        min_cosine: of the angle between ray and wall's normal; flatter views are not used.
+        photos: that contribute to a wall, those with the finest pixels.
+        blend: photos that are averaged at a point.
+        max_px: long side of an orthophoto.
     """
 
     tolerance_m: float = 0.6
@@ -46,7 +46,7 @@ class FacadeOptions:
 
 @dataclass(frozen=True, eq=False)
 class Facade:
-    """Picture of a wall: columns run to the right as seen from outside, rows downwards.
+    """Orthophoto of a wall: columns run to the right as seen from outside, rows downwards.
 
     The first pixel's upper left corner is at `s0` along the wall and height `z1`.
     """
@@ -64,7 +64,7 @@ class Facade:
         return np.column_stack([plan, z])
 
     def px(self, xyz: Array) -> Array:
-        """Pixels (n, 2) of points (n, 3), dropped onto the plane."""
+        """Pixels (n, 2) of points (n, 3), projected onto the plane."""
         return np.column_stack(
             [(xyz[:, :2] @ self.wall.right - self.s0) / self.pixel_m, (self.z1 - xyz[:, 2]) / self.pixel_m]
         )
@@ -73,16 +73,16 @@ class Facade:
 @dataclass(frozen=True, eq=False)
 class _Layer:
     rgb: Array32
-    shown: Array32  # weight; 0 where something else is seen
+    shown: Array32  # weight; 0 where something else is visible
 
 
 def facade_of(wall: Wall, maps: Sequence[DepthMap], pixel_m: float, options: FacadeOptions | None = None) -> Facade:
-    """Picture of a wall from the photos in front of it that see it best; empty where none does.
+    """Orthophoto of a wall from the photos in front of it with the finest pixels; empty without any.
 
     Args:
         wall: in the frame of the maps' cameras.
         maps: undistorted photos with depth.
-        pixel_m: wanted size of a pixel; larger where the picture would exceed `max_px`.
+        pixel_m: size of a pixel, in the unit of the maps' frame; larger where the orthophoto would exceed `max_px`.
         options: see there.
     """
     options = options or FacadeOptions()
@@ -102,18 +102,18 @@ def facade_of(wall: Wall, maps: Sequence[DepthMap], pixel_m: float, options: Fac
     weights = np.where(weights >= np.maximum(sharpest[0], sharpest[-1] / 2), weights, 0)
     total = weights.sum(axis=0)
     rgb = sum(w[..., None] * layer.rgb for w, layer in zip(weights, layers, strict=True))
-    picture = np.clip(rgb / np.maximum(total, 1e-12)[..., None], 0, 255).astype(np.uint8)
-    return replace(facade, raster=Raster(picture, total > 0))
+    colours = np.clip(rgb / np.maximum(total, 1e-12)[..., None], 0, 255).astype(np.uint8)
+    return replace(facade, raster=Raster(colours, total > 0))
 
 
 def similarity_between(a: Facade, b: Facade, b_from_a: Array) -> Similarity:
-    """The level similarity of space that lays facade a on facade b as the (2, 3) affine lays their pixels.
+    """The level similarity of space that maps facade a onto facade b as the (2, 3) affine maps their pixels.
 
     Raises `DegenerateGeometry` when the affine has no positive scale.
     """
     scale = float(np.sqrt(abs(np.linalg.det(b_from_a[:, :2])))) * b.pixel_m / a.pixel_m
     if not scale > 0:
-        raise DegenerateGeometry("two facades do not fit at scale zero")
+        raise DegenerateGeometry("two facades cannot be related at scale zero")
     cos, sin = b.wall.normal @ a.wall.normal, b.wall.normal[1] * a.wall.normal[0] - b.wall.normal[0] * a.wall.normal[1]
     rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     middle = np.array([[a.raster.mask.shape[1] / 2, a.raster.mask.shape[0] / 2]])
@@ -123,30 +123,30 @@ def similarity_between(a: Facade, b: Facade, b_from_a: Array) -> Similarity:
 
 
 def affine_between(a: Facade, b: Facade, b_from_a: Similarity) -> Array:
-    """Pixels of b from pixels of a, (2, 3), for a similarity of space that lays a about parallel to b."""
+    """Pixels of b from pixels of a, (2, 3), for a similarity of space that maps a nearly parallel to b."""
     h, w = a.raster.mask.shape
     corners = np.array([[0.0, 0.0], [w, 0.0], [0.0, h]])
-    placed = b.px(b_from_a.apply(a.xyz(corners)))
-    linear = np.column_stack([(placed[1] - placed[0]) / w, (placed[2] - placed[0]) / h])
-    return np.column_stack([linear, placed[0]])
+    px = b.px(b_from_a.apply(a.xyz(corners)))
+    linear = np.column_stack([(px[1] - px[0]) / w, (px[2] - px[0]) / h])
+    return np.column_stack([linear, px[0]])
 
 
 def _sharpest(wall: Wall, maps: Sequence[DepthMap], options: FacadeOptions) -> list[DepthMap]:
     """Photos in front of the wall that hold some of it, those with the finest pixels on it first."""
-    places = np.concatenate([wall.corners, [wall.centre]])
+    targets = np.concatenate([wall.corners, [wall.centre]])
     normal = np.array([*wall.normal, 0.0])
     found: list[tuple[float, DepthMap]] = []
     for depth_map in maps:
         camera = depth_map.camera
-        rays = camera.centre - places
+        rays = camera.centre - targets
         distance = np.linalg.norm(rays, axis=1)
         cosine = rays @ normal / distance
         if cosine.max() < options.min_cosine or (camera.centre @ normal) - wall.offset <= 0:
             continue
         i = camera.intrinsics
-        xyz_cam = camera.cam_from_world.apply(places)
+        xyz_cam = camera.cam_from_world.apply(targets)
         px = xyz_cam[:, :2] / np.maximum(xyz_cam[:, 2:], 1e-6) * [i.fx, i.fy] + [i.cx, i.cy]
-        # A long wall may cross the picture with all its corners outside: the box around them decides.
+        # A long wall may cross the image with all its corners outside: the box around them decides.
         front = xyz_cam[:, 2] > 0
         if not front.any() or (
             front.all() and ((px.max(axis=0) < 0).any() or (px.min(axis=0) > [i.width, i.height]).any())
@@ -157,7 +157,7 @@ def _sharpest(wall: Wall, maps: Sequence[DepthMap], options: FacadeOptions) -> l
 
 
 def _layer(wall: Wall, xyz: Array, depth_map: DepthMap, options: FacadeOptions) -> _Layer:
-    """What one photo shows of the wall."""
+    """Colours and weights of one photo on the wall."""
     camera, i = depth_map.camera, depth_map.camera.intrinsics
     xyz_cam = camera.cam_from_world.apply(xyz)
     z = xyz_cam[..., 2]
@@ -170,7 +170,7 @@ def _layer(wall: Wall, xyz: Array, depth_map: DepthMap, options: FacadeOptions) 
     height = float(camera.centre[:2] @ wall.normal) - wall.offset
     cosine = height / distance
     depth = sample_nearest(depth_map.depth, u, v)
-    # How far the surface that the photo shows there lies behind the wall's plane, measured across it.
+    # Distance of the observed surface behind the plane of the wall, along its normal.
     behind = (depth / safe - 1) * height
     weight = np.where(front & (cosine > options.min_cosine), cosine**1.5 * i.fx / distance, 0)
     with np.errstate(invalid="ignore"):

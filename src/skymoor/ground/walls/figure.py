@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a person wants to see of a ground registration: the same walls by the ground photos and from the air."""
+"""Figure of a ground registration: the same walls from ground photos and from airborne photos."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def walls_figure(
     count: int = 4,
     width: int = 1200,
 ) -> Image | None:
-    """The largest walls that both show, one below the other: by the ground photos, from the air, in checkerboard.
+    """The largest common walls, one below the other: from ground photos, from airborne photos, in alternate squares.
 
     None where no photo shows an airborne wall.
     """
     options = options or GroundOptions()
     maps = list(maps_level)
-    pairs = pair_facades(airborne.facades, airborne.relief, maps, enu_from_level, options.facade_pairs)
+    pairs = pair_facades(airborne.facades, airborne.heights, maps, enu_from_level, options.facade_pairs)
     largest = sorted(pairs, key=lambda pair: -int((pair.ground.mask & pair.airborne.mask).sum()))[:count]
     rows = [_row(pair, width) for pair in largest]
     return np.concatenate(rows) if rows else None

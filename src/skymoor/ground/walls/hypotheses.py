@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the search by walls answers."""
+"""Result of the search by walls."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from skymoor.types import Array, Registration
 
 @dataclass(frozen=True, eq=False)
 class WallHypotheses:
-    """All places that were found for a component, the best one first; see `Hypotheses`.
+    """All refined hypotheses of a component, the best one first; see `Hypotheses`.
 
-    `probes` (n, 3) are cameras and corners of walls in the level frame, and `counts` says how much was searched.
+    `probes` (n, 3) are cameras and corners of walls in the level frame; `counts` is the extent of the search.
     """
 
     candidates: tuple[RefinedHypothesis, ...]
@@ -24,17 +24,17 @@ class WallHypotheses:
     acceptance: AcceptanceOptions
 
     @property
-    def places(self) -> list[Similarity]:
+    def similarities(self) -> list[Similarity]:
         """ENU from level, of each candidate."""
         return [candidate.enu_from_level for candidate in self.candidates]
 
     @property
-    def evidence(self) -> list[float]:
+    def scores(self) -> list[float]:
         """Contrast of each candidate."""
         return [candidate.contrast for candidate in self.candidates]
 
     def decide(self, excluded: Collection[int] = ()) -> Registration:
-        """The best place, or why it is not believed, if those numbered in `excluded` are known to be wrong."""
+        """The registration by the best hypothesis that is not in `excluded` (their numbers), accepted or refused."""
         left = [candidate for k, candidate in enumerate(self.candidates) if k not in excluded]
         found = decide_ground(left, self.probes, self.acceptance)
         return replace(found, diagnostics={**found.diagnostics, **self.counts})

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether each camera of a registered ground component bears the component's place out (the paper's failure A08).
+"""Pose check of each camera of a registered ground component (the paper's failure A08).
 
-One similarity moves all cameras; a camera that structure from motion put wrongly is then wrong on Earth as well. Each
-photo alone is laid on the airborne walls that it should show.
+One similarity transforms all cameras; a camera with a wrong pose from structure from motion is then wrong on Earth as
+well. Each photo alone is compared with the airborne walls that it should show.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ class GroundPoseOptions:
     """When a camera contradicts its component.
 
     Attributes:
-        min_matches: with fewer, matches have no say, for or against.
-        max_offset_m: largest median distance between where a wall is and where the photo shows it.
-        max_offset_ratio: the same in units of what the component's cameras have in the middle: where walls repeat
-            themselves, all of them are seen less well.
-        min_lead: a photo off by more contradicts only if it also agrees so many times better with the walls when it is
-            moved.
-        reach_m: so far around its place each photo's picture of a wall is tried.
-        min_score, min_gain: a photo that agrees there by at least so much, and by so many times what it does at its
-            place, contradicts it.
+        min_matches: with fewer, matches neither confirm nor contradict.
+        max_offset_m: largest median distance between a wall and its position in the photo.
+        max_offset_ratio: the same in units of the median over the cameras: where walls repeat themselves, all offsets
+            are larger.
+        min_lead: a larger offset contradicts only if the photo also agrees so many times better with the walls when it
+            is shifted.
+        reach_m: shifts up to this are tried.
+        min_score, min_gain: a photo contradicts if its score at the best shift is at least so high, and so many times
+            that without shift.
     """
 
     min_matches: int = 150
@@ -49,9 +49,9 @@ class GroundPoseOptions:
 
 @dataclass(frozen=True)
 class GroundPoseCheck:
-    """What one photo says: how well it shows the airborne walls, and how far off it shows them (median, m).
+    """Consistency of one photo with the airborne walls: scores and the offset of the walls in it (median, m).
 
-    `score` is how well at its place, `best_score` at the best one within reach.
+    `score` is without shift, `best_score` at the best shift within reach; `tested` is false with too few matches.
     """
 
     image: str
@@ -72,25 +72,24 @@ def check_poses_on_walls(
     *,
     rng: np.random.Generator,
 ) -> list[GroundPoseCheck]:
-    """The check of each photo, in their order; their depths are not used, for a wrong pose makes them wrong too.
+    """One consistency record per photo, in input order. Its own depth map is ignored, since a wrong pose corrupts it.
 
-    A camera that is wrong along its viewing direction, as a wrong focal length makes it, shows the walls where they
-    are: of that nothing is heard.
+    Errors along the viewing direction (wrong focal length) are not detectable.
     """
     options, limits = options or GroundOptions(), limits or GroundPoseOptions()
-    heard = [_hear(depth_map, airborne, enu_from_level, options, limits, rng) for depth_map in maps_level]
-    usual = float(np.median([w.offset_m for w in heard if w.n_matches >= limits.min_matches] or [0.0]))
+    checks = [_check(depth_map, airborne, enu_from_level, options, limits, rng) for depth_map in maps_level]
+    usual = float(np.median([w.offset_m for w in checks if w.n_matches >= limits.min_matches] or [0.0]))
     limit = max(limits.max_offset_m, limits.max_offset_ratio * usual)
-    return [replace(w, contradicts=w.contradicts or _off(w, limit, limits)) for w in heard]
+    return [replace(w, contradicts=w.contradicts or _off(w, limit, limits)) for w in checks]
 
 
 def _off(check: GroundPoseCheck, limit_m: float, limits: GroundPoseOptions) -> bool:
-    """Whether matches say that a photo shows walls elsewhere, and the whole picture does not deny it."""
+    """Whether matches show an offset, and correlation of the whole image supports it."""
     leads = check.best_score > limits.min_lead * check.score
     return check.tested and check.offset_m > limit_m and leads
 
 
-def _hear(
+def _check(
     depth_map: DepthMap,
     airborne: AirborneWalls,
     enu_from_level: Similarity,
@@ -98,9 +97,9 @@ def _hear(
     limits: GroundPoseOptions,
     rng: np.random.Generator,
 ) -> GroundPoseCheck:
-    """What a photo says for itself; `contradicts` where it fits much better elsewhere."""
+    """The record of one photo; `contradicts` where it agrees much better with a shift."""
     alone = [replace(depth_map, depth=np.full_like(depth_map.depth, np.nan))]
-    pairs = pair_facades(airborne.facades, airborne.relief, alone, enu_from_level, options.facade_pairs)
+    pairs = pair_facades(airborne.facades, airborne.heights, alone, enu_from_level, options.facade_pairs)
     reach, still = (round(metres / options.pixel_m) for metres in (limits.reach_m, limits.max_offset_m))
     found = [drift(p.ground, p.airborne, reach_px=reach, still_px=still, options=options.search) for p in pairs]
     drifts = [d for d in found if d is not None]
@@ -110,10 +109,10 @@ def _hear(
     gaps = enu_from_level.apply(matches.xyz_level) - matches.xyz_enu
     offset = float(np.linalg.norm(np.median(gaps, axis=0))) if len(gaps) else float("nan")
     if elsewhere:
-        surest = max(drifts, key=lambda d: d.there)
-        offset = float(np.hypot(*surest.px)) * options.pixel_m
-    heard = len(matches) >= limits.min_matches or elsewhere
-    return GroundPoseCheck(depth_map.camera.image, score, best, len(matches), offset, heard, contradicts=elsewhere)
+        clearest = max(drifts, key=lambda d: d.there)
+        offset = float(np.hypot(*clearest.px)) * options.pixel_m
+    tested = len(matches) >= limits.min_matches or elsewhere
+    return GroundPoseCheck(depth_map.camera.image, score, best, len(matches), offset, tested, contradicts=elsewhere)
 
 
 def check_ground_poses(
@@ -137,5 +136,5 @@ def check_ground_poses(
     measured = {depth_map.camera.image for depth_map in maps_level}
     others = [camera for camera in cameras if camera.image not in measured]
     maps = [*maps_level, *(empty_depth_map(camera, photos, max_px) for camera in others)]
-    heard = check_poses_on_walls(maps, airborne, enu_from_level, options, rng=np.random.default_rng(seed))
-    return heard, walls_figure(maps_level, airborne, enu_from_level, options)
+    checks = check_poses_on_walls(maps, airborne, enu_from_level, options, rng=np.random.default_rng(seed))
+    return checks, walls_figure(maps_level, airborne, enu_from_level, options)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Places near a place: the best of them, and those that say what chance does there."""
+"""Local refinement of a pose, and perturbed poses that estimate the background score."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from skymoor.geometry import Similarity
 from skymoor.types import Array
 
 GOLDEN = 0.61803
-"""Of a turn: directions that many steps apart fill the circle evenly."""
+"""Golden ratio, of a full turn: directions at multiples of it fill the circle evenly."""
 
 
 @dataclass(frozen=True)
 class RefineOptions:
-    """Simplex search (Nelder and Mead 1965) over position, heading and scale, once for each of `sizes`.
+    """Simplex search (Nelder and Mead 1965) over position, vertical rotation and scale, for each of `sizes`.
 
     Attributes:
-        trials: places that each search may try.
+        trials: poses that each search may evaluate.
         sizes: of the first steps, in units of
-        steps_m, heading_deg, scale: which are east, north and up, in heading, and in the logarithm of the scale.
+        steps_m, rotation_deg, scale: which are east, north and up, in rotation, and in the logarithm of the scale.
     """
 
     trials: int = 60
     sizes: tuple[float, ...] = (2.5, 1.0)
     steps_m: tuple[float, float, float] = (0.4, 0.4, 0.3)
-    heading_deg: float = 0.6
+    rotation_deg: float = 0.6
     scale: float = 0.01
 
 
 @dataclass(frozen=True)
 class PerturbationOptions:
-    """How many places around an answer, and how far from it, it is compared with."""
+    """Number and distances of the perturbed poses around a hypothesis."""
 
     count: int = 24
     min_m: float = 1.5
@@ -46,17 +46,17 @@ class PerturbationOptions:
 def refine_pose(
     start: Similarity, pivot_enu: Array, score: Callable[[Similarity], float], options: RefineOptions | None = None
 ) -> Similarity:
-    """The place near `start` where `score` is highest.
+    """The pose near `start` where `score` is highest.
 
     Args:
         start: ENU from level.
-        pivot_enu: (3,) what heading and scale leave where it is: the middle of what is compared, so that the steps
-            depend on each other as little as may be.
-        score: of a place, the higher the better; need not be smooth.
+        pivot_enu: (3,) fixed point of rotation and scale: the centre of what is compared, so that the parameters are
+            nearly independent.
+        score: of a pose, the higher the better; need not be smooth.
         options: see there.
     """
     options = options or RefineOptions()
-    unit = np.array([*options.steps_m, np.radians(options.heading_deg), options.scale])
+    unit = np.array([*options.steps_m, np.radians(options.rotation_deg), options.scale])
     best = start
     for size in options.sizes:
         near = _Near(best, pivot_enu, size * unit)
@@ -67,25 +67,25 @@ def refine_pose(
     return best
 
 
-def perturbed(place: Similarity, options: PerturbationOptions | None = None) -> list[Similarity]:
-    """The same place moved in plan, in all directions and by all lengths of the options."""
+def perturbed(pose: Similarity, options: PerturbationOptions | None = None) -> list[Similarity]:
+    """The same pose shifted in plan, in all directions and by all lengths of the options."""
     options = options or PerturbationOptions()
     turns = 2 * np.pi * GOLDEN * np.arange(options.count)
     lengths = np.linspace(options.min_m, options.max_m, options.count)
     shifts = lengths[:, None] * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(options.count)])
-    return [Similarity(1.0, np.eye(3), shift) @ place for shift in shifts]
+    return [Similarity(1.0, np.eye(3), shift) @ pose for shift in shifts]
 
 
 @dataclass(frozen=True, eq=False)
 class _Near:
-    """Places around `start` by five numbers, whose units are `steps`."""
+    """Poses around `start` by five numbers, whose units are `steps`."""
 
     start: Similarity
     pivot: Array
     steps: Array
 
     def at(self, x: Array) -> Similarity:
-        """East, north, up, heading and scale away from the start."""
+        """The pose that is this far from the start in east, north, up, rotation and scale."""
         move = x * self.steps
         scale, turn = float(np.exp(move[4])), Rotation.from_rotvec([0.0, 0.0, float(move[3])]).as_matrix()
         return Similarity(scale, turn, self.pivot + move[:3] - scale * turn @ self.pivot) @ self.start

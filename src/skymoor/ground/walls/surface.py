@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from skymoor.types import Array32, DepthMap, Mask
 
-REACH_PX = 3
-"""Normals are taken from points this far to all sides: nearer ones show the noise of the depth."""
+HALF_BASE_PX = 3
+"""Normals are computed from points this far to all sides: nearer ones show the noise of the depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ def surface_of(maps: Sequence[DepthMap], *, max_sigma_ratio: float = 0.02, strid
 
 
 def _of_one(depth_map: DepthMap, max_sigma_ratio: float, stride: int) -> Surface:
-    intrinsics, k = depth_map.camera.intrinsics, REACH_PX
+    intrinsics, k = depth_map.camera.intrinsics, HALF_BASE_PX
     with np.errstate(invalid="ignore"):
         depth = np.where(depth_map.sigma < max_sigma_ratio * depth_map.depth, depth_map.depth, np.nan)
     if min(depth.shape) <= 2 * k:
@@ -57,7 +57,7 @@ def _of_one(depth_map: DepthMap, max_sigma_ratio: float, stride: int) -> Surface
     centre = xyz[inner, inner][every, every]
     normals = np.cross(down, across)
     length = np.linalg.norm(normals, axis=-1)
-    # A slope of the depth beyond this many times its value per unit of the picture plane is a step, not a surface.
+    # A slope of the depth beyond this many times its value per unit of the image plane is a step, not a surface.
     limit = 3.5 * 2 * k / intrinsics.fx * centre[..., 2]
     with np.errstate(invalid="ignore"):
         good = (np.abs(across[..., 2]) < limit) & (np.abs(down[..., 2]) < limit) & (length > 0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Free space: ground photos look from above the ground, and not through buildings."""
+"""Visibility: ground cameras are above the ground, and their viewing rays do not cross walls."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from skymoor.ground.walls.surface import Surface
 from skymoor.ground.walls.walls import Wall
 from skymoor.types import Array, Array32, DepthMap, Mask
 
-REACH = 0.85
-"""Of the way to what a ray sees: depths and scales are not exact."""
+RAY_SHARE = 0.85
+"""Of the length of a viewing ray that is checked: depths and scales are not exact."""
 
 FOOT_M = 1.0
-"""Walls begin this much below the lowest part of them that was seen."""
+"""Walls are extended downwards by this much below their lowest observed part."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeightRaster:
-    """Heights of what is seen from above, in cells of the plan: element (row, column) is y0 + row, x0 + column cells.
+    """Heights of surfaces seen from above, in cells of the plan: element (row, column) is y0 + row, x0 + column cells.
 
-    Cells that nothing was seen in have the height of the nearest one, and `seen` false.
+    Cells without an observation have the height of the nearest one, and `seen` false.
     """
 
     height: Array32
@@ -36,7 +36,7 @@ class HeightRaster:
     cell_m: float
 
     def at(self, xy: Array, *, only_seen: bool = False) -> Array:
-        """Heights (...,) at plan positions (..., 2); NaN outside, and where nothing was seen with `only_seen`."""
+        """Heights (...,) at plan positions (..., 2); NaN outside, and without an observation with `only_seen`."""
         column = np.floor((xy[..., 0] - self.x0) / self.cell_m).astype(np.int64)
         row = np.floor((xy[..., 1] - self.y0) / self.cell_m).astype(np.int64)
         h, w = self.height.shape
@@ -49,7 +49,7 @@ class HeightRaster:
 
 @dataclass(frozen=True, eq=False)
 class ViewRays:
-    """Viewing rays of a model: from cameras (n, 3) to shortly before what each one sees, (n, rays, 3)."""
+    """Viewing rays of a model: from camera centres (n, 3) to shortly before the observed surface, (n, rays, 3)."""
 
     centres: Array
     ends: Array
@@ -75,7 +75,7 @@ def height_raster_of(surface: Surface, *, cell_m: float = 1.0, min_normal_up: fl
 
 
 def view_rays_of(maps: Sequence[DepthMap], *, rays: int = 40, rng: np.random.Generator) -> ViewRays:
-    """Some viewing rays of each photo, up to shortly before what it sees."""
+    """Some viewing rays of each photo, up to shortly before the observed surface."""
     centres, ends = [], []
     for depth_map in maps:
         rows, columns = np.nonzero(np.isfinite(depth_map.depth))
@@ -85,14 +85,14 @@ def view_rays_of(maps: Sequence[DepthMap], *, rays: int = 40, rng: np.random.Gen
         z = depth_map.depth[rows[pick], columns[pick]].astype(np.float64)
         px = np.column_stack([columns[pick] + 0.5, rows[pick] + 0.5])
         directions = depth_map.camera.intrinsics.rays(px) @ depth_map.camera.cam_from_world.rotation
-        ends.append(depth_map.camera.centre + REACH * z[:, None] * directions)
+        ends.append(depth_map.camera.centre + RAY_SHARE * z[:, None] * directions)
         centres.append(depth_map.camera.centre)
     return ViewRays(np.array(centres).reshape(-1, 3), np.array(ends).reshape(-1, rays, 3))
 
 
 @dataclass(frozen=True)
 class VisibilityCheck:
-    """How high the cameras stand (median, m), the share of the rays that cross walls, and of cameras off the map."""
+    """Height of the cameras above ground (median, m), share of rays that cross walls, and of cameras off the map."""
 
     height_m: float
     blocked: float
@@ -100,18 +100,18 @@ class VisibilityCheck:
 
 
 def check_visibility(
-    sight: ViewRays, enu_from_level: Similarity, relief: HeightRaster, walls: Sequence[Wall], *, margin_m: float = 0.5
+    rays: ViewRays, enu_from_level: Similarity, heights: HeightRaster, walls: Sequence[Wall], *, margin_m: float = 0.5
 ) -> VisibilityCheck:
-    """Where a hypothesis puts the cameras, seen from above. Cameras off the map count in `outside` only.
+    """Height and visibility of the cameras under a hypothesis. Cameras off the map count in `outside` only.
 
-    Trees hide from above what people see below them, so it is walls that may not be crossed; what is nearer to a
-    wall than `margin_m` or to its edge counts as beside it.
+    Trees hide from above what is visible below them, so only walls may not be crossed; what is nearer to a wall than
+    `margin_m` or to its edge counts as beside it.
     """
-    centres = enu_from_level.apply(sight.centres)
-    above = centres[:, 2] - relief.at(centres[:, :2])
+    centres = enu_from_level.apply(rays.centres)
+    above = centres[:, 2] - heights.at(centres[:, :2])
     outside = float(np.isnan(above).mean()) if len(above) else 1.0
     height = float(np.nanmedian(above)) if outside < 1 else float("nan")
-    starts, ends = np.broadcast_to(centres[:, None], sight.ends.shape), enu_from_level.apply(sight.ends)
+    starts, ends = np.broadcast_to(centres[:, None], rays.ends.shape), enu_from_level.apply(rays.ends)
     crossed = np.zeros(starts.shape[:2], bool)
     for wall in walls:
         before, behind = (p[..., :2] @ wall.normal - wall.offset for p in (starts, ends))

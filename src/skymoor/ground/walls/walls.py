@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Vertical planes of a levelled model.
 
-Seen in plan a wall is a line whose points stand above each other. Points with horizontal normals are gathered in cells
+In plan a wall is a line of points above each other. Points with horizontal normals are gathered in cells
 of the plan, weighted by how many heights each holds; then the best lines are taken one after the other.
 """
 
@@ -19,7 +19,7 @@ from skymoor.types import Array
 Index = NDArray[np.intp]
 
 SEEDS = 64
-HEADINGS = 8
+SECTORS = 8
 FEWEST_CELLS = 5
 
 
@@ -30,12 +30,12 @@ class WallOptions:
     Attributes:
         cell_m: edge of the cells in which points are gathered.
         min_points: points that a cell of space needs.
-        max_normal_up: largest vertical part of the unit normal of a wall's point.
+        max_normal_up: largest vertical component of the unit normal of a point of a wall.
         thickness_m: largest distance of a wall's point from its plane.
         angle_deg: largest angle between the normals of a wall and of its points.
         gap_m: two pieces further apart than this are two walls.
-        min_length_m, min_height_m, min_area_m2: smaller walls are dropped; the area is what was seen.
-        min_levels: heights, in cells, that a piece of plan needs to stand for a wall.
+        min_length_m, min_height_m, min_area_m2: smaller walls are dropped; the area is the observed one.
+        min_levels: heights, in cells, that a cell of the plan needs to be part of a wall.
         max_walls: the largest ones are kept.
     """
 
@@ -56,8 +56,8 @@ class WallOptions:
 class Wall:
     """The part s0..s1, z0..z1 of the vertical plane normal @ (x, y) = offset.
 
-    `normal` (2,) points outwards; `right` is to the right for who looks at the wall from outside, and s is measured
-    along it. `area_m2` is how much of the wall was seen.
+    `normal` (2,) points outwards; `right` is to the right as seen from outside, and s is measured along it.
+    `area_m2` is the observed area.
     """
 
     normal: Array
@@ -91,8 +91,8 @@ class Wall:
 def transformed_wall(wall: Wall, target_from_source: Similarity) -> Wall:
     """The wall in another levelled frame; a tilt of the similarity is ignored."""
     corners = target_from_source.apply(wall.corners)
-    heading = target_from_source.rotation[:2, :2] @ wall.normal
-    normal = heading / np.linalg.norm(heading)
+    direction = target_from_source.rotation[:2, :2] @ wall.normal
+    normal = direction / np.linalg.norm(direction)
     right = np.array([-normal[1], normal[0]])
     s, z = corners[:, :2] @ right, corners[:, 2]
     return replace(
@@ -109,7 +109,7 @@ def transformed_wall(wall: Wall, target_from_source: Similarity) -> Wall:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Cells of the plan: position (n, 2), heading (n, 2), heights that they hold (n,), and the voxels behind them."""
+    """Cells of the plan: position (n, 2), normal (n, 2), heights that they hold (n,), and the voxels behind them."""
 
     xy: Array
     normal: Array
@@ -142,10 +142,10 @@ def find_walls(surface: Surface, options: WallOptions | None = None, *, rng: np.
 
 
 def _gather(surface: Surface, options: WallOptions) -> _Cells:
-    # The heading is part of the key, so that the two sides of a thin wall and of a corner stay apart.
+    # The direction of the normal is part of the key, so that the two sides of a thin wall and of a corner stay apart.
     angle = np.arctan2(surface.normals[:, 1], surface.normals[:, 0])
-    octant = np.floor((angle + np.pi) / (2 * np.pi) * HEADINGS).astype(np.int64) % HEADINGS
-    key = np.column_stack([np.floor(surface.xyz / options.cell_m).astype(np.int64), octant])
+    sector = np.floor((angle + np.pi) / (2 * np.pi) * SECTORS).astype(np.int64) % SECTORS
+    key = np.column_stack([np.floor(surface.xyz / options.cell_m).astype(np.int64), sector])
     voxels, of_voxel, counts = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     sums = _sums(np.column_stack([surface.xyz, surface.normals[:, :2]]).astype(np.float64), of_voxel, len(voxels))
     full = counts >= options.min_points
@@ -170,19 +170,19 @@ def _best_seed(cells: _Cells, left: Index, options: WallOptions, rng: np.random.
     normal = cells.normal[pick, None]
     off = np.abs(apart[..., 0] * normal[..., 0] + apart[..., 1] * normal[..., 1])
     along = np.abs(apart[..., 1] * normal[..., 0] - apart[..., 0] * normal[..., 1])
-    alike = cells.normal[pick] @ cells.normal[left].T > np.cos(np.radians(options.angle_deg))
-    # Far along the line the seed's own heading, good to some degrees only, says nothing.
-    support = ((off < options.thickness_m) & (along < 8.0) & alike) @ cells.levels[left]
+    parallel = cells.normal[pick] @ cells.normal[left].T > np.cos(np.radians(options.angle_deg))
+    # Far along the line the normal of the seed, good to some degrees only, is no constraint.
+    support = ((off < options.thickness_m) & (along < 8.0) & parallel) @ cells.levels[left]
     return int(pick[np.argmax(support)])
 
 
 def _grow(cells: _Cells, left: Index, seed: int, options: WallOptions) -> tuple[Index, Array] | None:
     """Cells connected with the seed on one line, and the line's normal."""
     normal, centre, cosine = cells.normal[seed], cells.xy[seed], np.cos(np.radians(options.angle_deg))
-    xy, headings = cells.xy[left], cells.normal[left]
+    xy, normals = cells.xy[left], cells.normal[left]
     members: Index = np.zeros(0, np.intp)
     for _ in range(4):
-        near = np.flatnonzero((np.abs((xy - centre) @ normal) < options.thickness_m) & (headings @ normal > cosine))
+        near = np.flatnonzero((np.abs((xy - centre) @ normal) < options.thickness_m) & (normals @ normal > cosine))
         if len(near) < FEWEST_CELLS:
             return None
         along = (xy[near] - centre) @ [-normal[1], normal[0]]
@@ -214,11 +214,11 @@ def _measure(cells: _Cells, members: Index, normal: Array, options: WallOptions)
 
 
 def _explained(cells: _Cells, left: Index, wall: Wall, options: WallOptions) -> Index:
-    """Cells that belong to a wall found, with a margin, lest its rough skin be found again as a wall."""
+    """Cells that belong to a wall found, with a margin, so that its roughness is not found again as a wall."""
     xy = cells.xy[left]
     along = xy @ wall.right
     inside = (along >= wall.s0 - options.thickness_m) & (along <= wall.s1 + options.thickness_m)
     near = np.abs(xy @ wall.normal - wall.offset) < 2.5 * options.thickness_m
-    alike = cells.normal[left] @ wall.normal > np.cos(np.radians(2 * options.angle_deg))
-    explained: Index = left[inside & near & alike]
+    parallel = cells.normal[left] @ wall.normal > np.cos(np.radians(2 * options.angle_deg))
+    explained: Index = left[inside & near & parallel]
     return explained
