@@ -32,7 +32,7 @@ from skymoor.geometry import Similarity, umeyama
 from skymoor.match import DecoyOptions, ImageHypothesis, SearchOptions, match_hypothesis
 from skymoor.match.decoys import made_decoys, mirrored
 from skymoor.match.rasters import nadir_raster, reference_raster
-from skymoor.match.search import Sized, search_in
+from skymoor.match.search import ReferencePyramid, search_in
 from skymoor.pipeline.options import Options
 from skymoor.pipeline.overlay import warp_to_reference
 from skymoor.pipeline.site import load_site
@@ -109,7 +109,7 @@ def registered_in(
     picture, target = nadir_raster(render, OPTIONS.match.min_height_confidence), reference_raster(reference)
     px = render.view.pixel * metres / reference.grid.pixel_m
     scales = {"min_scale": px / SCALE_RANGE, "max_scale": px * SCALE_RANGE}
-    sized = Sized(target)
+    sized = ReferencePyramid(target)
     renders = [render, *(as_render(decoy, render.view) for decoy in made_decoys(picture, DECOYS, rng))]
     places = []
     for one in renders:

@@ -41,7 +41,7 @@ def main() -> None:
     found = search_hypotheses(picture, mosaic, min_scale=20 * per_metre, max_scale=200 * per_metre)
     print(f"{mosaic.mask.shape} pixels of {own.grid.pixel_m:.2f} m: {time.perf_counter() - start:.1f} s")
     for p in found[:3]:
-        u, v = np.array(p.place) - corner
+        u, v = np.array(p.centre_px) - corner
         inside = 0 <= u < own.mask.shape[1] and 0 <= v < own.mask.shape[0]
         print(f"  score {p.score:.0f}, height {p.scale / per_metre:.1f} m, {'on' if inside else 'off'} the true piece")
 

@@ -88,10 +88,12 @@ def test_models_that_share_nothing_say_nothing(first: list[DepthMap], second: li
     assert share(first, HERE, second, far) == 0
 
 
-def test_what_contradicts_a_surer_component_is_out(first: list[DepthMap], second: list[DepthMap]) -> None:
-    """Alone the second component is refused, for two places are nearly as good; one of them cannot be."""
+def test_a_hypothesis_that_contradicts_another_component_is_excluded(
+    first: list[DepthMap], second: list[DepthMap]
+) -> None:
+    """Alone the second component is refused, since two hypotheses compete; one of them contradicts the first."""
     sure, torn = answers((80.0, HERE)), answers((60.0, into_the_way()), (55.0, HERE))
-    assert "nearly as good" in torn.decide().reason
+    assert "a competing hypothesis" in torn.decide().reason
     found = decide_jointly(["a", "b"], [sure, torn], [first, second])
     assert [r.registered for r in found] == [True, True]
     assert found[1].enu_from_level is HERE
@@ -102,7 +104,9 @@ def test_what_contradicts_a_surer_component_is_out(first: list[DepthMap], second
     assert turned[0].enu_from_level is HERE
 
 
-def test_a_component_without_another_place_is_refused_by_name(first: list[DepthMap], second: list[DepthMap]) -> None:
+def test_a_component_without_another_hypothesis_is_refused_by_name(
+    first: list[DepthMap], second: list[DepthMap]
+) -> None:
     wrong = into_the_way()
     for lost in (answers((60.0, wrong)), OneHypothesis(Registration(True, "", wrong, diagnostics={"score": 60.0}))):
         found = decide_jointly(["walk-0", "walk-1"], [answers((80.0, HERE)), lost], [first, second])
@@ -123,9 +127,9 @@ def test_the_surer_one_stays_and_nothing_is_lost_without_components(
     assert decide_jointly(["a", "b"], [answers((80.0, HERE)), answers((60.0, wrong))], [first, blind])[1].registered
 
 
-def test_what_speaks_for_each_place_is_told_in_their_order() -> None:
+def test_scores_come_in_the_order_of_the_hypotheses() -> None:
     found = answers((60.0, HERE), (20.0, into_the_way()))
-    assert found.evidence == [candidate.contrast for candidate in found.candidates]
-    assert found.evidence[0] > found.evidence[1] and len(found.similarities) == 2
-    assert OneHypothesis(Registration(True, "", HERE, n_inliers=70)).evidence == [70.0]
-    assert OneHypothesis(Registration(False, "too few", None)).evidence == []
+    assert found.scores == [candidate.contrast for candidate in found.candidates]
+    assert found.scores[0] > found.scores[1] and len(found.similarities) == 2
+    assert OneHypothesis(Registration(True, "", HERE, n_inliers=70)).scores == [70.0]
+    assert OneHypothesis(Registration(False, "too few", None)).scores == []

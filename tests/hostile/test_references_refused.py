@@ -131,7 +131,9 @@ CASES = [
     Case("heights in feet", said("dsm.tif", units=("feet",)), ("dsm.tif", "feet", "convert")),
     Case("ten gigapixels twice", giants, ("100000 by 100000", "gdal_translate -projwin")),
     Case("one tile of 900 megapixels", one_piece, ("ortho.tif", "in one block of 900 MB", "TILED=YES")),
-    Case("geocentric", raster("dsm.tif", FLAT, crs="EPSG:4978"), ("dsm.tif", "neither projected nor geographic", "warp")),
+    Case(
+        "geocentric", raster("dsm.tif", FLAT, crs="EPSG:4978"), ("dsm.tif", "neither projected nor geographic", "warp")
+    ),
     Case("at nan", raster("dsm.tif", FLAT, **position(0.5, 0, np.nan, 0, -0.5, 3e6)), ("dsm.tif", "check both")),
     Case("at infinity", raster("dsm.tif", FLAT, **position(0.5, 0, 1e300, 0, -0.5, 3e6)), ("dsm.tif", "check both")),
     Case("pixels of no size", raster("dsm.tif", FLAT, **position(0.5, 0, 5e5, 0, 0, 3e6)), ("dsm.tif", "geotransform")),

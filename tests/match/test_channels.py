@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from skymoor.match.channels import ChannelOptions, make_channels, rotate_angles
-from skymoor.match.search import turn
+from skymoor.match.search import rotate_channels
 from skymoor.types import Image, Raster
 from support.pictures import noise_picture
 
@@ -85,7 +85,7 @@ def test_turned_channels_are_those_of_the_turned_picture(degrees: float) -> None
     side = 240
     rgb, height = noise_picture((side, side), sigma_px=3), hills((side, side))
     channels = make_channels(raster(rgb, height), PLAIN)
-    turned = turn(channels, np.radians(degrees))
+    turned = rotate_channels(channels, np.radians(degrees))
     size = turned.values.shape[1]
     # OpenCV counts angles the other way round, from the centre of the first pixel.
     matrix = cv2.getRotationMatrix2D((side / 2 - 0.5, side / 2 - 0.5), -degrees, 1.0)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from skymoor.match.channels import ChannelOptions, Channels, make_channels
 from skymoor.match.correlate import Target, correlate, parabola, peaks
-from skymoor.match.search import cut
+from skymoor.match.search import crop_channels
 from skymoor.types import Raster
 from support.pictures import noise_picture
 
@@ -125,7 +125,7 @@ def test_parabola() -> None:
 
 
 def test_cut_is_zero_beyond_the_picture() -> None:
-    window = cut(TARGET, 150, -5, 20)
+    window = crop_channels(TARGET, 150, -5, 20)
     np.testing.assert_array_equal(window.values[:, 5:, :10], TARGET.values[:, :15, 150:])
     assert not window.values[:, :5].any() and not window.known[:, :, 10:].any()
-    assert not cut(TARGET, 500, 500, 20).values.any()
+    assert not crop_channels(TARGET, 500, 500, 20).values.any()

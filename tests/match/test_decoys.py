@@ -58,7 +58,7 @@ def test_the_true_picture_stands_out(rng: np.random.Generator) -> None:
     a = Raster(b.rgb[50:170, 60:200].copy(), b.mask[50:170, 60:200], b.height[50:170, 60:200])  # type: ignore[index]
     scales = {"min_scale": 0.9, "max_scale": 1.1}
     true = search_hypotheses(a, b, **scales, options=OPTIONS)[0]
-    assert np.linalg.norm(np.array(true.place) - [130, 110]) < 2
+    assert np.linalg.norm(np.array(true.centre_px) - [130, 110]) < 2
     chance = decoy_scores(a, b, **scales, options=OPTIONS, decoys=DecoyOptions(count=3), rng=rng)
     other = search_hypotheses(elsewhere, b, **scales, options=OPTIONS)[0].score
     assert len(chance) == 3

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skymoor.match import ImageHypothesis, search_hypotheses
-from skymoor.match.search import alike, distinct
+from skymoor.match.search import equivalent, distinct
 from skymoor.types import Raster
 from support.pictures import GRID, Overhead, another_day, seen_through, without_heights
 
@@ -52,7 +52,7 @@ def test_a_picture_is_found(reference: Raster, first_day: Overhead, case: str, h
     turn = (first.azimuth_rad - truth.azimuth_rad + np.pi) % (2 * np.pi) - np.pi
     assert abs(np.degrees(turn)) < 1.0
     assert abs(first.scale / truth.scale - 1) < 0.015
-    assert np.hypot(*(np.array(first.place) - truth.place)) < 0.5
+    assert np.hypot(*(np.array(first.centre_px) - truth.centre_px)) < 0.5
     # Far above chance, and above the second place, though crossings resemble each other; a registration asks for 40
     # and for 1.3 times the second. Not above what agreement of every pixel would give.
     assert 40 < first.score < np.sqrt(a.mask.sum() * truth.scale**2)
@@ -92,4 +92,4 @@ def test_distinct_keeps_the_best_of_neighbours() -> None:
     away = ImageHypothesis(1.0, 0.0, (80.0, 50.0), 11.0)
     larger = ImageHypothesis(1.3, 0.0, (50.0, 50.0), 9.0)
     assert distinct([here, nearly, turned, away, larger], shape) == [nearly, away, larger, turned]
-    assert alike(here, nearly, shape) and not alike(here, turned, shape)
+    assert equivalent(here, nearly, shape) and not equivalent(here, turned, shape)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two images of one place, from different worlds, to pairs of pixels."""
+"""Matching of images of the same area from different sensors: search, dense matching, retrieval."""
 
 from skymoor.match._aliked import AlikedMatcher
 from skymoor.match._anyloc import AnyLocRetriever
 from skymoor.match._loftr import LoftrMatcher
 from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
 from skymoor.match._romav2 import RomaV2Matcher
-from skymoor.match.align import lay, match_hypothesis
+from skymoor.match.align import warp_raster, match_hypothesis
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
 from skymoor.match.decoys import DecoyOptions, decoy_scores
 from skymoor.match.protocol import DenseMatcher, Retriever
@@ -31,7 +31,7 @@ __all__ = [
     "TinyRomaMatcher",
     "cyclic_matches",
     "decoy_scores",
-    "lay",
+    "warp_raster",
     "match_hypothesis",
     "search_hypotheses",
 ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which way is up in a reconstruction."""
+"""Gravity direction of a reconstruction."""
 
 from skymoor.orient._oneformer import OneFormerLabeler
 from skymoor.orient._semantic import SemanticLabeler

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What segmentation networks call the ground, and how a photo is given to them."""
+"""Ground classes of segmentation networks, and their inference on a photo."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from skymoor.errors import InputError
 from skymoor.types import Image, Mask
 
-# As ADE20K, Cityscapes and COCO call it. Steps, bridges and slopes are left out: they are not level, or not low.
+# Names in ADE20K, Cityscapes and COCO. Steps, bridges and slopes are left out: they are not level, or not low.
 GROUND_NAMES = {
     *("road", "route", "street", "crosswalk", "lane marking", "sidewalk", "pavement", "path", "alley", "runway"),
     *("parking", "parking lot", "dirt track", "dirt road", "rail track", "field", "playingfield", "lawn", "grass"),
@@ -26,7 +26,7 @@ def ground_ids(names: Mapping[int, str], folder: Path) -> list[int]:
     """Numbers of the classes that are ground, by their names.
 
     A name may be a list of words that mean the same ("road, route"), or have a remark behind a hyphen ("water-other").
-    Whole words count: a waterfall and a grasshopper are no ground.
+    Whole words count: a waterfall and a grasshopper are not ground.
 
     Args:
         names: of the classes, by number.
@@ -35,10 +35,10 @@ def ground_ids(names: Mapping[int, str], folder: Path) -> list[int]:
     Raises:
         InputError: no class is ground.
     """
-    ids = [int(k) for k, name in names.items() if GROUND_NAMES & {_plain(word) for word in name.split(",")}]
+    ids = [int(k) for k, name in names.items() if GROUND_NAMES & {_base_name(word) for word in name.split(",")}]
     if not ids:
         some = ", ".join(list(names.values())[:3])
-        raise InputError(f"{folder}: none of its classes ({some}, ...) is ground; take a model trained on ADE20K")
+        raise InputError(f"{folder}: none of its classes ({some}, ...) is ground; use a model trained on ADE20K")
     return ids
 
 
@@ -50,19 +50,19 @@ def ground_mask(
     Args:
         processor, network: of the library, from `folder`.
         image: the photo; it is reduced to the long side `side_px`.
-        tasks: what else the processor wants to be told.
+        tasks: further arguments of the processor.
 
     Raises `InputError` where no class is ground.
     """
     import torch
-    from PIL import Image as Pictures
+    from PIL import Image as PilImage
 
     ids = ground_ids(network.config.id2label, folder)
     photo = small(image, side_px)
-    given = processor(images=Pictures.fromarray(photo), return_tensors="pt", **tasks).to(device)
+    inputs = processor(images=PilImage.fromarray(photo), return_tensors="pt", **tasks).to(device)
     with torch.inference_mode():
-        found = network(**given)
-        (labels,) = processor.post_process_semantic_segmentation(found, target_sizes=[photo.shape[:2]])
+        outputs = network(**inputs)
+        (labels,) = processor.post_process_semantic_segmentation(outputs, target_sizes=[photo.shape[:2]])
     return ground_of(labels.cpu().numpy(), ids, image)
 
 
@@ -83,5 +83,5 @@ def small(image: Image, side_px: int) -> Image:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _plain(word: str) -> str:
+def _base_name(word: str) -> str:
     return word.split("-")[0].strip().lower().replace("_", " ")

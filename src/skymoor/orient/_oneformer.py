@@ -23,7 +23,7 @@ from skymoor.types import Image, Mask
 
 @dataclass(frozen=True)
 class OneFormerLabeler:
-    """The semantic task of OneFormer; all classes that are ground by their names are joined.
+    """The semantic task of OneFormer: the union of all classes whose names mean ground.
 
     Attributes:
         weights: folder of a model with a Swin backbone, such as those trained on ADE20K; empty for where
@@ -46,7 +46,7 @@ class OneFormerLabeler:
 
         Raises:
             BackendUnavailable: transformers or the weights are missing.
-            InputError: the folder holds no OneFormer, not all of it, or none whose classes have ground among them.
+            InputError: the folder holds no OneFormer, not all of it, or one without a class of ground.
         """
         device = torch_device(self.device)
         (folder,) = self.ready()
@@ -60,28 +60,28 @@ _: type[GroundLabeler] = OneFormerLabeler
 @lru_cache(maxsize=1)
 def _network(folder: Path, device: str) -> tuple[Any, Any]:
     transformers = require("transformers", "segmentation")
-    # What training compares photos with, sentences, is left out.
+    # Without the text encoder, which is used in training only.
     network = open_model(transformers.OneFormerForUniversalSegmentation, folder, ("oneformer",), is_training=False)
-    home = _home_of_classes(folder)
+    class_folder = _folder_of_classes(folder)
     with reading(folder):
         processor = transformers.OneFormerProcessor.from_pretrained(
-            folder, repo_path=str(home), local_files_only=True, trust_remote_code=False
+            folder, repo_path=str(class_folder), local_files_only=True, trust_remote_code=False
         )
     return processor, network.to(device)
 
 
-def _home_of_classes(folder: Path) -> Path:
-    """Where the list of classes lies: unless it is told, the library asks the hub for it."""
+def _folder_of_classes(folder: Path) -> Path:
+    """Folder of the list of classes; without it the library would download the list from the hub."""
     file = _image_part(folder).get("class_info_file", "ade20k_panoptic.json")
-    for home in (folder, folder.parent):
-        if (home / file).is_file():
-            describes(home, file)
-            return home
+    for class_folder in (folder, folder.parent):
+        if (class_folder / file).is_file():
+            describes(class_folder, file)
+            return class_folder
     raise InputError(f"{folder}: the list of classes {file} is missing; put it into the folder")
 
 
 def _image_part(folder: Path) -> dict[str, Any]:
-    """How photos are prepared: a file of its own, or a part of the one that newer versions of the library write."""
+    """Preprocessing of photos: a file of its own, or a part of the one that newer versions of the library write."""
     if (folder / "preprocessor_config.json").is_file():
         return describes(folder, "preprocessor_config.json")
     part = describes(folder, "processor_config.json").get("image_processor", {})

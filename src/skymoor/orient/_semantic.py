@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lighter ground labels: any semantic segmentation of the library transformers, on a CPU.
+"""Ground labels for a CPU: any semantic segmentation of the library transformers.
 
 The weights that `skymoor weights fetch upernet-tiny` gets are UperNet's (Xiao et al., ECCV 2018) on a tiny ConvNeXt
-(Liu et al., CVPR 2022), trained on ADE20K: their licence allows every use, which SegFormer's does not.
+(Liu et al., CVPR 2022), trained on ADE20K: their licence permits every use, SegFormer's does not.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from skymoor.types import Image, Mask
 
 @dataclass(frozen=True)
 class SemanticLabeler:
-    """All classes that are ground by their names, joined.
+    """The union of all classes whose names mean ground.
 
     Attributes:
         weights: folder of a model for semantic segmentation: UperNet, BEiT, DPT, SegFormer or another; empty for where
@@ -46,7 +46,7 @@ class SemanticLabeler:
 
         Raises:
             BackendUnavailable: transformers or the weights are missing.
-            InputError: the folder holds no such model, not all of it, or none whose classes have ground among them.
+            InputError: the folder holds no such model, not all of it, or one without a class of ground.
         """
         device = torch_device(self.device)
         (folder,) = self.ready()

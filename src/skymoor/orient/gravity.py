@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gravity from geometry alone (paper, section 3.1, gravity vector estimation; Szeliski 2006 for the horizon).
 
-Two pose_checks are weighed by what they are worth. The ground plane is limited by the slope of the terrain. The x-axes
-of cameras that people and gimbals hold level lie in the horizon, so the direction across all of them is up: accurate
-to a fraction of a degree where headings differ, but blind where all photos look the same way. Each gives a 3 x 3
-information matrix for the up vector; the smallest eigenvector of the sum is the answer.
+Two observations are combined by their weights. The ground plane is limited by the slope of the terrain. The x-axes of
+cameras that people and gimbals hold level are horizontal, so the direction perpendicular to all of them is up: accurate
+to a fraction of a degree where azimuths differ, but undetermined where all photos have the same azimuth. Each gives a
+3 x 3 information matrix for the up vector; the estimate is the eigenvector of the smallest eigenvalue of the sum.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from skymoor.types import Array, Component, Gravity, Mask
 
 @dataclass(frozen=True)
 class OrientOptions:
-    """How much each check is believed.
+    """Uncertainty of each observation.
 
     Attributes:
         terrain_slope_deg: expected slope of the ground over the site.
-        roll_floor_deg: cameras are never believed to be held more level than this.
-        common_roll_deg: all cameras may share a roll of this size; it cancels only where headings differ.
+        roll_floor_deg: lower bound of the roll sigma of the cameras.
+        common_roll_deg: all cameras may share a roll of this size; it cancels only where azimuths differ.
         plane_threshold_ratio: RANSAC threshold as a share of the median camera-to-point distance.
         portrait_deg: an x-axis further from the horizon than this belongs to a photo turned on its side.
-        min_ground_points: fewer points marked as ground are no plane.
+        min_ground_points: with fewer labelled ground points, the labels are not used.
     """
 
     terrain_slope_deg: float = 2.0
@@ -46,11 +46,10 @@ def estimate_gravity(
     rng: np.random.Generator,
     ground: Mask | None = None,
 ) -> Gravity:
-    """Find up.
+    """Estimate the up direction of a component.
 
-    `ground` (n,) marks the points that are known to be ground, as `ground_points` finds them: the plane is laid through
-    those alone, if they are enough. Without it the plane with most points is taken for the ground, which near a facade
-    it is not.
+    `ground` (n,) marks the ground points, see `ground_points`: the plane is fitted to those alone, if they are enough.
+    Without it the plane with most points is assumed to be the ground, which fails near a facade.
 
     Raises:
         DegenerateGeometry: neither the points nor the cameras determine a plane.
@@ -58,9 +57,9 @@ def estimate_gravity(
     options = options or OrientOptions()
     rays = component.points[component.obs_point] - component.centres[component.obs_camera]
     distance = float(np.median(np.linalg.norm(rays, axis=1)))
-    found = "labelled ground"
+    method = "labelled ground"
     if ground is None or np.count_nonzero(ground) < options.min_ground_points:
-        ground, found = np.ones(len(component.points), dtype=bool), "plane"
+        ground, method = np.ones(len(component.points), dtype=bool), "plane"
     flat, down = component.points[ground], rays[ground[component.obs_point]]
     plane = _ground_plane(flat, options.plane_threshold_ratio * distance, rng)
     normal = plane.normal * _sign(plane.normal, down)
@@ -76,13 +75,15 @@ def estimate_gravity(
     plane_height = float(np.median(flat[near] @ up))
     camera_height = float(np.median(component.centres @ up)) - plane_height
     if camera_height <= 0:
-        raise DegenerateGeometry("the cameras lie below the ground that they see: up could not be told")
+        raise DegenerateGeometry(
+            "the cameras lie below the ground plane, so up is not determined; take photos that show more of the ground"
+        )
     return Gravity(
         up=up,
         sigma_deg=float(np.degrees(np.sqrt(1 / values[1]))),
         plane_height=plane_height,
         camera_height=camera_height,
-        method=f"{found} and {len(component.cameras)} cameras level to {roll_deg:.1f} deg" if determined else found,
+        method=f"{method} and {len(component.cameras)} cameras level to {roll_deg:.1f} deg" if determined else method,
         disagreement_deg=_angle_deg(cameras_up, normal) if determined else float("nan"),
     )
 
@@ -90,7 +91,7 @@ def estimate_gravity(
 def level_from_gravity(component: Component, gravity: Gravity) -> Similarity:
     """The `level` frame: z up, ground at z = 0, cameras' mean at x = y = 0, and their median height above ground 1.
 
-    With this unit, a model's scale in metres is its flying height: a number about which something is known beforehand.
+    With this unit, a model's scale in metres is its flying height: a number with a known plausible range.
     """
     z = gravity.up
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
@@ -102,9 +103,9 @@ def level_from_gravity(component: Component, gravity: Gravity) -> Similarity:
 
 
 def horizon_information(component: Component, up: Array, options: OrientOptions) -> tuple[Array, float]:
-    """Information (3, 3), rad^-2, that the cameras' horizontal axes give about up, and their roll's sigma in degrees.
+    """Information (3, 3), rad^-2, of up from the cameras' horizontal axes, and the sigma of their roll in degrees.
 
-    A photo stored on its side has its y-axis in the horizon. Robust by reweighting (Cauchy).
+    A photo stored on its side has a horizontal y-axis. Robust by reweighting (Cauchy).
     """
     axes = np.array([camera.cam_from_world.rotation for camera in component.cameras])
     off_x, off_y = np.abs(axes[:, 0] @ up), np.abs(axes[:, 1] @ up)
@@ -137,9 +138,9 @@ def _ground_plane(points: Array, threshold: float, rng: np.random.Generator) -> 
 
 
 def _sign(normal: Array, rays: Array) -> float:
-    """+1 if most viewing rays come down on the side to which the normal points (the paper's rule), else -1.
+    """+1 if most viewing rays arrive from the side to which the normal points (the paper's rule), else -1.
 
-    Rays to the ground that a camera sees vote, not optical axes: ground cameras look slightly upwards.
+    Rays to observed ground points are counted, not optical axes: ground cameras point slightly upwards.
     """
     return 1.0 if np.mean(rays @ normal < 0) >= 0.5 else -1.0
 

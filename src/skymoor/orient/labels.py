@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which points of a component are ground, by what photos show there (paper, section 3.1, gravity vector estimation)."""
+"""Ground points of a component, by segmentation of the photos (paper, section 3.1, gravity vector estimation)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the orientation asks of an engine that knows what things are."""
+"""Interface of the ground segmentation that the orientation uses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from skymoor.types import Image, Mask
 
 
 class GroundLabeler(Protocol):
-    """Finds the ground in a photo."""
+    """Segments the ground in a photo."""
 
     def __call__(self, image: Image) -> Mask:
         """Whether each pixel (h, w) of an image (h, w, 3) shows ground: soil, grass, pavement or water."""

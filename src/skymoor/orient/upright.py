@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gravity of photos from the ground: what was built upright says it.
+"""Gravity of ground photos, by the vertical edges of buildings.
 
-A walk round a building sees so little of the ground that the plane with most points is the facade. But the edges of
-its windows, doors and corners are upright, each photo shows dozens of them, and in a known camera an edge spans a plane
-that holds the vertical. People hold cameras nearly level: that tells the upright edges from all others, and is the
-answer, a coarser one, where there are too few. (Vanishing points: Caprile and Torre, IJCV 1990.)
+Photos around a building show so little of the ground that the plane with most points is the facade. But the edges of
+windows, doors and corners are vertical, each photo shows dozens of them, and with known intrinsics an edge defines a
+plane that contains the vertical. People hold cameras nearly level: that separates the vertical edges from all others,
+and is the coarser estimate where there are too few. (Vanishing points: Caprile and Torre, IJCV 1990.)
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ import numpy as np
 from skymoor.errors import DegenerateGeometry
 from skymoor.types import Array, Camera, Component, Gravity, Image, Mask, Photos
 
-REACH_DEG = (15.0, 10.0, 5.0)  # of an edge from upright, as the estimate sharpens
+MAX_EDGE_DEG = (15.0, 10.0, 5.0)  # largest angle of an edge to the vertical, per iteration
 
 
 @dataclass(frozen=True)
 class UprightOptions:
-    """How photos from the ground are held, and what is believed of walls.
+    """How ground photos are held, and how vertical walls are.
 
     Attributes:
         roll_deg: standard deviation of the roll of a photo that a person takes.
         pitch_deg: the same of its pitch.
-        min_edge_ratio: shorter edges, relative to the photo's longer side, say little.
-        min_edges: fewer leave it to the cameras.
-        lean_deg: walls and posts lean together by so much: up is not believed to be better known.
-        min_ground_points: fewer points marked as ground do not say how high it is.
-        eye_ratio: where no ground is seen, the height of the cameras above it as a share of the distance of the points.
+        min_edge_ratio: shortest edge that is used, relative to the photo's longer side.
+        min_edges: with fewer vertical edges, the roll and pitch of the cameras alone decide.
+        lean_deg: common lean of walls and posts: lower bound of the sigma of up.
+        min_ground_points: with fewer labelled ground points, the height of the ground is that of the lowest points.
+        eye_ratio: where no ground is visible, camera height above it as a share of the distance of the points.
     """
 
     roll_deg: float = 3.0
@@ -46,33 +46,33 @@ class UprightOptions:
 def estimate_ground_gravity(
     component: Component, photos: Photos, options: UprightOptions | None = None, *, ground: Mask | None = None
 ) -> Gravity:
-    """Find up in a component of photos from the ground.
+    """Estimate the up direction of a component of ground photos.
 
-    The height of the ground is that of the points near by that are marked as ground in `ground` (n,), see
-    `ground_points`. Without them, or with too few, it is that of the lowest points: a guess, good to a third or so of
-    the cameras' height, from which `camera_height` is below the truth where the foot of the wall is hidden.
+    The height of the ground is that of the near points that `ground` (n,) marks, see `ground_points`. Without them, or
+    with too few, it is that of the lowest points: accurate to about a third of the cameras' height, and `camera_height`
+    is too small where the foot of the walls is hidden.
 
     Raises:
         DegenerateGeometry: fewer than three cameras, or no points.
     """
     options = options or UprightOptions()
     if len(component.cameras) < 3 or not len(component.obs_point):
-        raise DegenerateGeometry("up needs at least three cameras and some points")
-    held, sigma_deg = _held_up(component, options)
+        raise DegenerateGeometry("the up direction needs at least three cameras and some points")
+    held_up, sigma_deg = _up_of_cameras(component, options)
     edges = [_edges(camera, photos.read(camera.image), options) for camera in component.cameras]
-    up, lines = held, 0
-    for reach_deg in REACH_DEG:
-        normals, weights = _upright_planes(component, edges, up, reach_deg)
+    up, lines = held_up, 0
+    for max_deg in MAX_EDGE_DEG:
+        normals, weights = _upright_planes(component, edges, up, max_deg)
         lines = len(normals)
         if lines < options.min_edges:
-            up = held
+            up = held_up
             break
         up, edges_deg = _direction_across(normals, weights, up)
         sigma_deg = float(np.hypot(edges_deg, options.lean_deg))
     plane_height, seen = _labelled_height(component, up, ground, options), "on labelled ground"
     if plane_height is None:
-        plane_height, in_sight = _ground_height(component, up, options)
-        seen = "" if in_sight else "no ground in sight"
+        plane_height, visible = _ground_height(component, up, options)
+        seen = "" if visible else "no ground in sight"
     found = f"{lines} upright edges" if lines >= options.min_edges else f"{len(component.cameras)} cameras held level"
     return Gravity(
         up=up,
@@ -80,21 +80,21 @@ def estimate_ground_gravity(
         plane_height=plane_height,
         camera_height=float(np.median(component.centres @ up)) - plane_height,
         method=", ".join(filter(None, (found, seen))),
-        disagreement_deg=float(np.degrees(np.arccos(np.clip(up @ held, -1, 1)))),
+        disagreement_deg=float(np.degrees(np.arccos(np.clip(up @ held_up, -1, 1)))),
     )
 
 
-def _held_up(component: Component, options: UprightOptions) -> tuple[Array, float]:
-    """Up by how cameras are held, and its standard deviation in degrees.
+def _up_of_cameras(component: Component, options: UprightOptions) -> tuple[Array, float]:
+    """Up by the roll and pitch of the cameras, and its standard deviation in degrees.
 
-    In each photo either the rows or the columns lie in the horizon (some are stored on their side), and the optical
-    axis nearly does. Which of both is found by trying to begin from several directions.
+    In each photo either the rows or the columns are horizontal (some are stored on their side), and the optical axis
+    nearly is. Several initial directions are tried, and the best fit is kept.
     """
     x, y, z = np.array([camera.cam_from_world.rotation for camera in component.cameras]).transpose(1, 0, 2)
     starts = [np.linalg.eigh(z.T @ z)[1][:, 0], *(axis.mean(axis=0) for axis in (x, y))]
-    starts = [start / np.linalg.norm(start) for start in starts if np.linalg.norm(start) > 0.1]  # else chance
-    _, up, information = min((_held_from(x, y, z, start, options) for start in starts), key=lambda found: found[0])
-    # A person holds a camera upright or on its side, but not upside down; and before walls most is above the eyes.
+    starts = [start / np.linalg.norm(start) for start in starts if np.linalg.norm(start) > 0.1]  # else it is noise
+    _, up, information = min((_refined_up(x, y, z, start, options) for start in starts), key=lambda fit: fit[0])
+    # A camera is held upright or on its side, not upside down; in front of walls most points are above the cameras.
     upright = float(np.sum(-y @ up))
     above = component.points[component.obs_point] - component.centres[component.obs_camera]
     vote = upright if abs(upright) > 0.3 * len(y) else float(np.median(above @ up))
@@ -102,11 +102,11 @@ def _held_up(component: Component, options: UprightOptions) -> tuple[Array, floa
     return up * (1.0 if vote >= 0 else -1.0), float(np.degrees(sigma))
 
 
-def _held_from(x: Array, y: Array, z: Array, up: Array, options: UprightOptions) -> tuple[float, Array, Array]:
+def _refined_up(x: Array, y: Array, z: Array, up: Array, options: UprightOptions) -> tuple[float, Array, Array]:
     roll, pitch = np.radians(options.roll_deg), np.radians(options.pitch_deg)
     for _ in range(10):
         level = np.where((np.abs(x @ up) <= np.abs(y @ up))[:, None], x, y)
-        # Some are held carelessly.
+        # Robust against tilted photos.
         weights = 1 / (1 + (level @ up / (2.4 * roll)) ** 2)
         information = (level.T * weights) @ level / roll**2 + z.T @ z / pitch**2
         new = np.linalg.eigh(information)[1][:, 0]
@@ -125,8 +125,8 @@ def _edges(camera: Camera, image: Image, options: UprightOptions) -> Array:
     return np.asarray(camera.intrinsics.rays(ends.reshape(-1, 2) + 0.5).reshape(-1, 2, 3))
 
 
-def _upright_planes(component: Component, edges: list[Array], up: Array, reach_deg: float) -> tuple[Array, Array]:
-    """Unit normals (n, 3) of the planes of edges that look upright, and their weights (n,), in the world frame."""
+def _upright_planes(component: Component, edges: list[Array], up: Array, max_deg: float) -> tuple[Array, Array]:
+    """Unit normals (n, 3) of the planes of nearly vertical edges, and their weights (n,), in the world frame."""
     normals, weights = [np.zeros((0, 3))], [np.zeros(0)]
     for camera, ends in zip(component.cameras, edges, strict=True):
         rotation = camera.cam_from_world.rotation
@@ -136,7 +136,7 @@ def _upright_planes(component: Component, edges: list[Array], up: Array, reach_d
         along = ends[:, 1, :2] - ends[:, 0, :2]
         size = np.linalg.norm(image_up, axis=1) * np.linalg.norm(along, axis=1)
         cosine = np.abs(np.sum(image_up * along, axis=1)) / np.maximum(size, 1e-12)
-        upright = cosine > np.cos(np.radians(reach_deg))
+        upright = cosine > np.cos(np.radians(max_deg))
         across = np.cross(ends[upright, 0], ends[upright, 1]) @ rotation
         normals.append(across / np.linalg.norm(across, axis=1, keepdims=True))
         weights.append(np.sum(along[upright] ** 2, axis=1))
@@ -144,7 +144,7 @@ def _upright_planes(component: Component, edges: list[Array], up: Array, reach_d
 
 
 def _direction_across(normals: Array, weights: Array, up: Array, floor_deg: float = 0.1) -> tuple[Array, float]:
-    """The direction (3,) across all normals (n, 3) but the odd ones (Cauchy), and its standard deviation in degrees."""
+    """The direction (3,) perpendicular to normals (n, 3), robust (Cauchy), and its standard deviation in degrees."""
     weights = weights / np.median(weights)
     sigma = np.radians(3.0)
     for _ in range(20):
@@ -156,9 +156,9 @@ def _direction_across(normals: Array, weights: Array, up: Array, floor_deg: floa
 
 
 def _labelled_height(component: Component, up: Array, ground: Mask | None, options: UprightOptions) -> float | None:
-    """Median height along `up` of the ground near the cameras; None if too little of it is known, or it is above them.
+    """Median height along `up` of the ground near the cameras; None for too few points, or points above them.
 
-    Labels err at the foot of things, and ground far away may be higher or lower.
+    Labels are wrong at the foot of objects, and distant ground may be higher or lower.
     """
     if ground is None:
         return None
@@ -171,12 +171,12 @@ def _labelled_height(component: Component, up: Array, ground: Mask | None, optio
 
 
 def _ground_height(component: Component, up: Array, options: UprightOptions) -> tuple[float, bool]:
-    """Height of the ground along `up`, and whether anything that low is seen."""
+    """Height of the ground along `up`, and whether points that low exist."""
     rays = component.points[component.obs_point] - component.centres[component.obs_camera]
     distance = np.linalg.norm(rays, axis=1)
     middle = float(np.median(distance))
     near = component.obs_point[distance < 1.2 * middle]
-    eyes = float(np.median(component.centres @ up))
+    camera_level = float(np.median(component.centres @ up))
     lowest = float(np.percentile(component.points[near] @ up, 1.0))
-    seen = lowest < eyes - options.eye_ratio / 3 * middle
-    return (lowest if seen else eyes - options.eye_ratio * middle), seen
+    seen = lowest < camera_level - options.eye_ratio / 3 * middle
+    return (lowest if seen else camera_level - options.eye_ratio * middle), seen

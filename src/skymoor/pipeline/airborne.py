@@ -167,7 +167,7 @@ def _relief(registration: Registration, render: Render, job: Job) -> HeightScale
 
 
 def _on_map(hypothesis: ImageHypothesis, render: Render, reference: Reference) -> MapHypothesis:
-    east, north = reference.grid.enu_from_px(np.array([hypothesis.place]))[0].tolist()
+    east, north = reference.grid.enu_from_px(np.array([hypothesis.centre_px]))[0].tolist()
     metres_per_unit = hypothesis.scale * reference.grid.pixel_m / render.view.pixel
     azimuth_deg = float(np.degrees(hypothesis.azimuth_rad) % 360)
     return MapHypothesis(hypothesis.score, east, north, azimuth_deg, metres_per_unit)

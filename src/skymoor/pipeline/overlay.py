@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from skymoor.errors import DegenerateGeometry
-from skymoor.match.align import lay
+from skymoor.match.align import warp_raster
 from skymoor.match.rasters import nadir_raster
 from skymoor.types import Array, Array32, Raster, Reference, Registration, Render
 
@@ -19,14 +19,14 @@ def warp_to_reference(
     if registration.enu_from_level is None:
         raise DegenerateGeometry("the model is not registered")
     b_from_a = reference_from_render(render, registration, reference)
-    # `lay` keeps heights in pixels: give it metres in pixels of the render, and it returns them in the grid's.
+    # `warp_raster` keeps heights in pixels: give it metres in pixels of the render, and it returns them in the grid's.
     metres_per_px = registration.enu_from_level.scale * render.view.pixel
     up = registration.enu_from_level.apply(render.xyz.astype(np.float64))[..., 2] / metres_per_px
     raster = nadir_raster(render, min_confidence)
     known = raster.height is not None and np.isfinite(raster.height)
     raster = Raster(raster.rgb, raster.mask, np.where(known, up, np.nan).astype(np.float32))
     height, width = reference.grid.shape
-    warped = lay(raster, b_from_a, (width, height))
+    warped = warp_raster(raster, b_from_a, (width, height))
     assert warped.height is not None
     return warped, np.asarray(warped.height * np.float32(reference.grid.pixel_m), dtype=np.float32)
 

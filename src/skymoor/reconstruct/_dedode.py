@@ -58,9 +58,9 @@ class DedodeDetector:
         device = torch_device(self.device)
         network = _network(*self.ready(), device)
         h, w = image.shape[:2]
-        image, _ = fitted(image, self.side_px, 1)
+        reduced, _ = fitted(image, self.side_px, 1)
         with torch.inference_mode():
-            found, _ = network.detect(as_tensor(image, device), n=min(self.max_keypoints, image[..., 0].size))
+            found, _ = network.detect(as_tensor(reduced, device), n=min(self.max_keypoints, reduced[..., 0].size))
         # From -1 at the left edge of the first pixel to 1 at the right edge of the last.
         return np.asarray((found[0].double().cpu().numpy() + 1) / 2 * [w, h], np.float64)
 

@@ -65,8 +65,8 @@ def matched_covariance(
         rng: draws the matches that are used, where there are many.
 
     Returns:
-        the covariance, the point (3,) it refers to (see `refine_similarity`), and the mean correlation length of horizontal
-        errors in metres.
+        the covariance, the point (3,) it refers to (see `refine_similarity`), and the mean correlation length in metres
+        of the horizontal errors.
 
     Raises `TooFewMatches` for fewer than eight, and `DegenerateGeometry` where they do not determine the transform.
     """
@@ -96,7 +96,7 @@ def matched_covariance(
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """Errors along chosen axes: posterior probability of each correlation length and fraction, and variance for it, (r, s)."""
+    """Errors along some axes: posterior of correlation lengths and fractions, and variances for them, both (r, s)."""
 
     posterior: Array
     variances: Array

@@ -8,7 +8,7 @@ from math import isfinite
 from typing import Literal
 
 Scope = Literal["airborne", "ground", "walls", "tiles"]
-"""Photos that are asked: airborne or ground ones, the latter by the search of one `ground.method` or by all."""
+"""Registrations that are checked: airborne or ground ones, the latter of one `ground.method` or of all."""
 
 NARROW_HEIGHTS = "narrow the flying heights (match.min_height_m, match.max_height_m)"
 MORE_IN_COMMON = (
@@ -23,9 +23,9 @@ class Kind:
 
     Attributes:
         name: of the value, for tables.
-        scopes: photos that are asked.
+        scopes: registrations that are checked.
         at: whether the limit is the least or the most that passes; empty where that is not known.
-        refusal: the reason where it fails, with `{value}`, `{limit}` and diagnostics of the registration by name.
+        refusal: the reason of a failure, with `{value}`, `{limit}` and diagnostics of the registration by name.
         meaning: what is checked, and what a failure means.
         limit: where the limit comes from, with the options that set it.
         remedy: what helps where it fails.

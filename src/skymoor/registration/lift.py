@@ -56,7 +56,7 @@ def lift(
 
 
 def height_step(height: Array32, width_px: float) -> Array32:
-    """Difference between the highest and the lowest height within a square of `width_px`; inf where it has no height."""
+    """Difference of the highest and the lowest height within a square of `width_px`; inf where it has none."""
     width = 2 * max(1, round(width_px / 2)) + 1
     kernel = np.ones((width, width), np.uint8)
     known = np.isfinite(height)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a registration is accepted. A wrong answer stated as right is worse than none."""
+"""Acceptance criteria of airborne registrations: a wrong registration that is accepted is worse than none."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 """Height scale of the model by the reference's relief.
 
 A block of photos from one height does not separate focal length and flying height: the whole model may be too tall or
-too flat by one factor. The reference's heights determine it. Both height maps are blurred alike, so that the reference's
-smoothness is not mistaken for flatness, and compared over the common area up to a plane.
+too flat by one factor. The reference's heights determine it. Both height maps are blurred alike, so that smoothness of
+the reference is not mistaken for flatness, and compared over the common area up to a plane.
 """
 
 from __future__ import annotations

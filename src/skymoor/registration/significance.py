@@ -12,7 +12,7 @@ from skymoor.registration.relief import shared_heights
 from skymoor.types import Array32
 
 USUAL_SPREAD, USUAL_DECOYS = 0.12, 6
-"""Standard deviation of the logarithms of one render's decoy scores, as measured, and the number of decoys that it counts as."""
+"""Standard deviation of the logarithms of one render's decoy scores, as measured, and its weight in decoys."""
 
 
 def false_alarm_probability(score: float, decoys: Sequence[float]) -> float:

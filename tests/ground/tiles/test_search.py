@@ -108,11 +108,11 @@ def test_what_no_tile_shows_is_refused(
     assert found.diagnostics["pairs"] == np.ceil(QUICK.max_share * found.diagnostics["pairs_in_all"])
 
 
-def test_a_matcher_that_says_nothing_is_refused(walk: tuple[list[DepthMap], Similarity], world: TileWorld) -> None:
+def test_a_matcher_without_matches_is_refused(walk: tuple[list[DepthMap], Similarity], world: TileWorld) -> None:
     silent = TileOracle(world.airborne, world.walk(), blind=True)
     found = cascade(walk[0], world.renders, silent, replace(QUICK, max_share=0.02), rng=np.random.default_rng(0))
     assert not found.registered
-    assert "suggests" in found.reason
+    assert "yields a transform" in found.reason
     assert found.enu_from_level is None
 
 

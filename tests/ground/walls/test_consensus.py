@@ -21,54 +21,54 @@ def moved(east_m: float) -> Similarity:
 
 
 def candidate(
-    score: float, east_m: float = 0.0, cells: int = 40, aside: tuple[float, ...] = (8.0, 12.0)
+    score: float, east_m: float = 0.0, cells: int = 40, perturbed: tuple[float, ...] = (8.0, 12.0)
 ) -> RefinedHypothesis:
     found = Registration(True, "", moved(east_m), n_matches=200, n_inliers=150, tilt_deg=1.0)
     return RefinedHypothesis(
-        WallHypothesis(moved(east_m), 0, 0, 30.0), found, moved(east_m), score, 0.5, 2, 1.6, 0.0, cells, aside
+        WallHypothesis(moved(east_m), 0, 0, 30.0), found, moved(east_m), score, 0.5, 2, 1.6, 0.0, cells, perturbed
     )
 
 
 def test_two_walls_that_agree_beat_a_better_one_that_stands_alone() -> None:
-    guesses = [
+    hypotheses = [
         WallHypothesis(moved(90), 0, 5, 30.0),
         WallHypothesis(moved(0), 0, 1, 25.0),
         WallHypothesis(moved(1), 1, 2, 24.0),
     ]
-    best, other = pool_hypotheses(guesses, PROBES)
+    best, other = pool_hypotheses(hypotheses, PROBES)
     assert best.enu_from_level.translation[0] < 2
     assert best.support == 2
     assert best.score == pytest.approx(np.hypot(25, 24))
     assert other.score == pytest.approx(30)
 
 
-def test_two_guesses_of_one_wall_are_one_witness() -> None:
-    guesses = [WallHypothesis(moved(0), 0, 1, 25.0), WallHypothesis(moved(1), 0, 1, 24.0)]
-    (only,) = pool_hypotheses(guesses, PROBES)
+def test_two_hypotheses_of_one_wall_are_one_observation() -> None:
+    hypotheses = [WallHypothesis(moved(0), 0, 1, 25.0), WallHypothesis(moved(1), 0, 1, 24.0)]
+    (only,) = pool_hypotheses(hypotheses, PROBES)
     assert (only.support, only.score) == (1, pytest.approx(25.0))
     assert pool_hypotheses([], PROBES) == []
 
 
-def test_a_good_answer_is_believed_and_states_its_margin() -> None:
+def test_a_good_hypothesis_is_accepted_with_its_margin() -> None:
     found = decide_ground([candidate(60), candidate(58, east_m=1.0), candidate(30, east_m=50)], PROBES)
     assert found.registered
-    # The answer beside the best one is the same answer.
+    # The hypothesis beside the best one is the same.
     assert found.diagnostics["second_score"] == 30
     assert found.diagnostics["cells"] == 40
 
 
-def test_the_contrast_is_what_stands_out_from_beside() -> None:
+def test_the_contrast_is_the_excess_over_perturbed_positions() -> None:
     # 60 against 8 and 12: 50 more than their mean, whose standard deviation is 2.
     assert candidate(60).contrast == pytest.approx(50 / np.sqrt(2))
-    assert candidate(60, aside=(50.0, 70.0)).contrast == 0
+    assert candidate(60, perturbed=(50.0, 70.0)).contrast == 0
     assert candidate(5).contrast == 0
-    assert candidate(60, aside=()).contrast == 0
+    assert candidate(60, perturbed=()).contrast == 0
     found = decide_ground([candidate(60), candidate(50, east_m=60)], PROBES)
     assert found.diagnostics["contrast"] == pytest.approx(50 / np.sqrt(2))
     assert found.diagnostics["second_contrast"] == pytest.approx(40 / np.sqrt(2))
 
 
-def test_a_weak_answer_needs_others_to_be_compared_with() -> None:
+def test_a_weak_hypothesis_needs_others_to_be_compared_with() -> None:
     weak, far, farther = candidate(28), candidate(15, east_m=60), candidate(14, east_m=120)
     assert decide_ground([weak, far, farther], PROBES).registered
     assert not decide_ground([weak, far], PROBES).registered
@@ -79,22 +79,22 @@ def test_a_weak_answer_needs_others_to_be_compared_with() -> None:
     ("candidates", "word"),
     [
         ([], "no wall"),
-        ([candidate(20)], "16 is needed"),
-        ([candidate(30)], "16 is needed"),
-        ([candidate(50), candidate(45, east_m=60)], "nearly as good"),
-        ([candidate(60, cells=3)], "places only"),
-        ([replace(candidate(60), height_m=9.0)], "9.0 m above"),
-        ([replace(candidate(60), blocked=0.9)], "90%"),
+        ([candidate(20)], "is below the minimum of 16"),
+        ([candidate(30)], "is below the minimum of 16"),
+        ([candidate(50), candidate(45, east_m=60)], "a competing hypothesis has contrast"),
+        ([candidate(60, cells=3)], "inliers lie in 3 independent cells"),
+        ([replace(candidate(60), height_m=9.0)], "is 9 m; at most 2.6 m"),
+        ([replace(candidate(60), blocked=0.9)], "90 % of the viewing rays"),
         ([replace(candidate(60), registration=Registration(False, "open", None))], "open"),
     ],
 )
-def test_doubtful_answers_are_refused_with_their_reason(candidates: list[RefinedHypothesis], word: str) -> None:
+def test_doubtful_hypotheses_are_refused_with_their_reason(candidates: list[RefinedHypothesis], word: str) -> None:
     found = decide_ground(candidates, PROBES)
     assert not found.registered
     assert word in found.reason
 
 
-def test_what_cannot_be_is_no_rival() -> None:
+def test_what_is_impossible_does_not_compete() -> None:
     in_the_air = replace(candidate(70, east_m=80), height_m=7.0)
     through_walls = replace(candidate(65, east_m=40), blocked=0.4)
     found = decide_ground([in_the_air, through_walls, candidate(60)], PROBES)
@@ -108,8 +108,8 @@ def test_few_inliers_and_tilt_are_refused() -> None:
     best = candidate(60)
     few = replace(best, registration=replace(best.registration, n_inliers=10))
     tilted = replace(best, registration=replace(best.registration, tilt_deg=12.0))
-    assert "matches agree" in decide_ground([few], PROBES).reason
-    assert "12.0 degrees" in decide_ground([tilted], PROBES, AcceptanceOptions(max_tilt_deg=5.0)).reason
+    assert "inlier ratio" in decide_ground([few], PROBES).reason
+    assert "tilted by 12°" in decide_ground([tilted], PROBES, AcceptanceOptions(max_tilt_deg=5.0)).reason
 
 
 def test_neighbouring_matches_are_one_cell() -> None:

@@ -38,8 +38,8 @@ def test_scale_and_place_come_back(scale: float) -> None:
     best = search_facades([near], [windows(2), whole], min_scale=0.4, max_scale=0.75)[0]
     assert best.b == 1
     assert best.scale == pytest.approx(scale, rel=0.03)
-    assert best.place == pytest.approx((30, 8), abs=1.5)
-    assert best.matrix @ [0, 0, 1] == pytest.approx(best.place)
+    assert best.offset_px == pytest.approx((30, 8), abs=1.5)
+    assert best.matrix @ [0, 0, 1] == pytest.approx(best.offset_px)
 
 
 def test_another_picture_scores_lower() -> None:
