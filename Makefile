@@ -31,7 +31,7 @@ $(DEV): $(SETUP)
 	$(BIN)/python -m pip install --quiet --no-deps romatch==0.1.2
 	@touch $@
 
-demo: $(SETUP) ## simulate a small site, place it on the Earth, compare with the truth
+demo: $(SETUP) ## simulate a small site, register it, compare with the truth
 	$(BIN)/skymoor demo --out skymoor-demo
 
 test: $(DEV) ## run the tests
@@ -58,7 +58,7 @@ wheel: $(SETUP) ## build the wheel, install it where nothing else is, and run th
 docs: $(DEV) ## build the documentation into site/; needs no network
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-format: $(DEV) ## rewrite the sources in the house format
+format: $(DEV) ## format the sources
 	$(BIN)/ruff format $(SOURCES)
 	$(BIN)/ruff check --fix $(SOURCES)
 

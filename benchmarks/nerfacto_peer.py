@@ -29,7 +29,7 @@ import torch
 from skymoor.model import NerfBuilder
 from skymoor.model.nerf import Sizes, UncertaintyOptions
 from skymoor.model.nerf.box import INNER_PER_LEVEL
-from skymoor.model.nerf.render import look
+from skymoor.model.nerf.render import integrate_rays
 from skymoor.store import read_stage
 from skymoor.types import DepthMap
 
@@ -80,7 +80,7 @@ def train_ours(kept: list[DepthMap], held: list[DepthMap], iterations: int) -> d
         for part in torch.split(torch.tensor(rays, dtype=torch.float32), CHUNK):
             near, far = box.span(start.expand_as(part), part)
             far = torch.maximum(far, near + 1e-3)
-            t, rgb, _, _ = look(field, model.proposal, start.expand_as(part), part, near, far, None)
+            t, rgb, _, _ = integrate_rays(field, model.proposal, start.expand_as(part), part, near, far, None)
             depths.append(t.numpy() / INNER_PER_LEVEL)
             colours.append(rgb.numpy())
         return np.concatenate(depths), np.concatenate(colours)

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from skymoor.geometry import Similarity, umeyama
 from skymoor.match import DecoyOptions, ImageHypothesis, SearchOptions, match_hypothesis
-from skymoor.match.decoys import made_decoys, mirrored
+from skymoor.match.decoys import make_decoys, mirrored
 from skymoor.match.rasters import nadir_raster, reference_raster
 from skymoor.match.search import ReferencePyramid, search_in
 from skymoor.pipeline.options import Options
@@ -110,7 +110,7 @@ def registered_in(
     px = render.view.pixel * metres / reference.grid.pixel_m
     scales = {"min_scale": px / SCALE_RANGE, "max_scale": px * SCALE_RANGE}
     sized = ReferencePyramid(target)
-    renders = [render, *(as_render(decoy, render.view) for decoy in made_decoys(picture, DECOYS, rng))]
+    renders = [render, *(as_render(decoy, render.view) for decoy in make_decoys(picture, DECOYS, rng))]
     places = []
     for one in renders:
         raster = nadir_raster(one, OPTIONS.match.min_height_confidence)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""skymoor moors floating 3D models to the Earth.
+"""skymoor georegisters 3D models from photos without metadata.
 
 For notebooks and scripts: `register` is the whole job, `read` loads what a run wrote, and both return a `Result`. The
 single steps are functions, too: `match_rasters`, `lift`, `register_matches`, `level_component`, `render_nadir`. All of

@@ -41,7 +41,7 @@ def test_certain_partners_weigh_more() -> None:
 
 
 @pytest.mark.parametrize("common", [0.0, 0.7])
-def test_sigma_is_honest_when_partners_share_a_part_of_their_error(common: float) -> None:
+def test_sigma_is_right_when_partners_share_a_part_of_their_error(common: float) -> None:
     rng = np.random.default_rng(1)
     sigma_in = 0.1
     own = rng.normal(size=(4, *SHAPE)) * np.sqrt(1 - common)

@@ -56,7 +56,7 @@ def test_photos_that_say_nothing_are_left_out(rng: np.random.Generator) -> None:
     maps = [*(depth_map(rng) for _ in range(4)), depth_map(rng, sigma_ratio=0.2), depth_map(rng)]
     metres = [one.depth * np.float32(7) for one in maps[:5]] + [np.full(SHAPE, np.nan, np.float32)]
     assert len(scale_from_metric_depth(maps, metres).per_photo) == 4
-    with pytest.raises(TooFewMatches, match="2 of 4 photos have depths in metres"):
+    with pytest.raises(TooFewMatches, match="2 of 4 photos have both metric and measured depths"):
         scale_from_metric_depth(maps[2:], metres[2:])
 
 

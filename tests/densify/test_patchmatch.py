@@ -80,9 +80,9 @@ class TestReading:
         write_map(path, np.ones((4, 6), np.float32))
         whole = path.read_bytes()
         for content, message in (
-            (whole[:-1], r"cut off, or not a depth map of COLMAP \(6 x 4 x 1\)"),
-            (whole + b"x", "cut off"),
-            (b"0&4&1&", "cut off"),
+            (whole[:-1], r"truncated, or not a depth map of COLMAP \(6 x 4 x 1\)"),
+            (whole + b"x", "truncated"),
+            (b"0&4&1&", "truncated"),
             (b"2&1&3&" + 24 * b"x", "not a depth map of COLMAP"),
             (b"P6 6 4 255 ", "not a depth map of COLMAP"),
             (b"a&b&c&" + whole, "not a depth map"),
@@ -203,7 +203,7 @@ class TestEngine:
             PatchMatchDepth(str(tmp_path / "nowhere/colmap"))(component, photos)
         monkeypatch.setenv("PATH", str(tmp_path / "empty"))
         monkeypatch.setattr(pycolmap, "has_cuda", False)
-        with pytest.raises(BackendUnavailable, match="install COLMAP with CUDA, or take sgm"):
+        with pytest.raises(BackendUnavailable, match="install COLMAP with CUDA, or use sgm"):
             PatchMatchDepth()(component, photos)
 
     def test_pycolmap_where_it_can(
@@ -222,7 +222,7 @@ class TestEngine:
 
 
 def assert_right(one: DepthMap) -> None:
-    """Dense, honest, and without what was quite wrong."""
+    """Dense, with realistic sigmas, and without gross errors."""
     known = np.isfinite(one.depth)
     np.testing.assert_array_equal(known, np.isfinite(one.sigma))
     assert not known[:20].any() and (one.n_views[known] >= 2).all()

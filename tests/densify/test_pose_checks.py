@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera in a wrong place looks at something else than the others say, whatever its own depths are."""
+"""A photo of a wrong pose contradicts the rendering of the others' depth maps, whatever its own depths are."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ def blind(depth_map: DepthMap) -> DepthMap:
     return replace(depth_map, depth=unknown, sigma=unknown)
 
 
-def test_photos_from_where_they_are_agree(maps: list[DepthMap]) -> None:
-    heard = check_poses([blind(maps[0]), *maps[1:]])
-    assert [check.image for check in heard] == [depth_map.camera.image for depth_map in maps]
-    assert not any(check.contradicts for check in heard)
-    assert min(check.ncc or 0.0 for check in heard) > 0.8
-    assert all(0.3 < check.covered <= 1 for check in heard)
+def test_photos_of_right_poses_agree(maps: list[DepthMap]) -> None:
+    checks = check_poses([blind(maps[0]), *maps[1:]])
+    assert [check.image for check in checks] == [depth_map.camera.image for depth_map in maps]
+    assert not any(check.contradicts for check in checks)
+    assert min(check.ncc or 0.0 for check in checks) > 0.8
+    assert all(0.3 < check.covered <= 1 for check in checks)
 
 
 @pytest.mark.parametrize("wrong", [(0,), (3, 4)])
 @pytest.mark.parametrize("measured", [True, False])
-def test_photos_from_elsewhere_contradict_even_if_they_agree_with_each_other(
+def test_photos_of_wrong_poses_contradict_even_if_they_agree_with_each_other(
     maps: list[DepthMap], wrong: tuple[int, ...], measured: bool
 ) -> None:
     moved = [transformed_depth_map(m, ASIDE) if k in wrong else m for k, m in enumerate(maps)]
     shown = [m if measured or k not in wrong else blind(m) for k, m in enumerate(moved)]
-    heard = check_poses(shown)
-    assert tuple(k for k, check in enumerate(heard) if check.contradicts) == wrong
-    assert min(check.ncc or 0.0 for k, check in enumerate(heard) if k not in wrong) > 0.75
+    checks = check_poses(shown)
+    assert tuple(k for k, check in enumerate(checks) if check.contradicts) == wrong
+    assert min(check.ncc or 0.0 for k, check in enumerate(checks) if k not in wrong) > 0.75
 
 
-def test_where_nothing_is_to_be_seen_nothing_is_said(maps: list[DepthMap]) -> None:
+def test_without_texture_or_overlap_nothing_is_tested(maps: list[DepthMap]) -> None:
     rng = np.random.default_rng(0)
     plain = [replace(m, rgb=rng.integers(120, 126, m.rgb.shape, np.uint8)) for m in maps]
     assert all(check.ncc is None and not check.contradicts for check in check_poses(plain))
@@ -58,6 +58,6 @@ def test_where_nothing_is_to_be_seen_nothing_is_said(maps: list[DepthMap]) -> No
     assert check_poses([far, *maps[1:]])[0].ncc is None
 
 
-def test_sparser_points_say_the_same(maps: list[DepthMap]) -> None:
+def test_sparser_points_give_the_same_result(maps: list[DepthMap]) -> None:
     full, few = (check_poses(maps, AgreementOptions(dense_maps=count)) for count in (100, 3))
     np.testing.assert_allclose([w.ncc for w in full], [w.ncc for w in few], atol=0.12)

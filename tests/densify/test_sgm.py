@@ -72,7 +72,7 @@ def test_complete_and_accurate(maps: list[DepthMap], truths: list[Array]) -> Non
     assert np.mean(np.abs(every) > 0.01) < 0.04
 
 
-def test_sigma_says_how_wrong_depths_are(maps: list[DepthMap], truths: list[Array]) -> None:
+def test_sigma_predicts_the_errors_of_depths(maps: list[DepthMap], truths: list[Array]) -> None:
     pairs = [(m, t, both_known(m, t)) for m, t in zip(maps, truths, strict=True)]
     normalised = np.concatenate([((m.depth - t) / m.sigma)[known] for m, t, known in pairs])
     # The median of a normal distribution's absolute values is 0.67.

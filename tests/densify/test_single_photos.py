@@ -31,7 +31,7 @@ def forget_networks() -> Iterator[None]:
 
 
 def direct(folder: Path) -> Any:
-    """What the network itself says about the photo, at its own size."""
+    """Prediction of the network itself for the photo, at its own size."""
     processor, network = skymoor.densify._depth_anything._network(
         folder, "cpu", metric="metric" in (folder / "config.json").read_text()
     )
@@ -43,7 +43,7 @@ def direct(folder: Path) -> Any:
 
 class TestRelative:
     def test_larger_is_farther(self, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-        """The network says inverse depth: its order is turned round."""
+        """The network predicts inverse depth, whose order is reversed."""
         folder = hub.depth_anything(tmp_path / "relative", "relative")
         capfd.readouterr()
         depth = DepthAnythingDepth(str(folder), "cpu")(PHOTO)
@@ -56,14 +56,14 @@ class TestRelative:
 
 
 class TestMetric:
-    def test_metres_and_lenses(self, tmp_path: Path) -> None:
+    def test_metres_and_focal_lengths(self, tmp_path: Path) -> None:
         folder = hub.depth_anything(tmp_path / "metric", "metric")
         expected, given = direct(folder)
         assert 0 < expected.min() < expected.max() < 80 and expected.std() > 0.1
         plain = MetricDepthNetwork(str(folder), "cpu", canonical_focal_px=0, max_m=80)(PHOTO, 500.0)
         assert plain.shape == (90, 120)
         np.testing.assert_allclose(plain, expected, rtol=1e-3)
-        # A lens of 500 px at 90 rows is one of 500 * 56 / 90 px in the network's input.
+        # A focal length of 500 px at 90 rows is one of 500 * 56 / 90 px in the network's input.
         ratio = given["pixel_values"].shape[-2] / 90
         wide, tele = (MetricDepthNetwork(str(folder), "cpu", max_m=80)(PHOTO, focal) for focal in (500.0, 1500.0))
         np.testing.assert_allclose(wide, plain * 500 * ratio / 1000, rtol=1e-4)
@@ -98,10 +98,10 @@ class TestMetric:
 
     def test_relative_weights_are_no_metres(self, tmp_path: Path) -> None:
         folder = hub.depth_anything(tmp_path / "relative", "relative")
-        with pytest.raises(InputError, match="its depths are relative; metres are wanted here"):
+        with pytest.raises(InputError, match="its depths are relative; metric depths are required here"):
             MetricDepthNetwork(str(folder), "cpu")(PHOTO, 500.0)
         folder = hub.depth_anything(tmp_path / "metric", "metric")
-        with pytest.raises(InputError, match="its depths are metric; relative depths are wanted here"):
+        with pytest.raises(InputError, match="its depths are metric; relative depths are required here"):
             DepthAnythingDepth(str(folder), "cpu")(PHOTO)
 
 
@@ -121,8 +121,8 @@ class TestMarigold:
         np.testing.assert_array_equal(depth, again)
         assert not np.array_equal(depth, MarigoldDepth(str(marigold), "cpu", side_px=64, seed=1)(PHOTO))
 
-    def test_what_it_says_is_what_is_returned(self, marigold: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Marigold says depth, not its inverse: the decoder's answer comes through as it is."""
+    def test_the_prediction_is_returned_unchanged(self, marigold: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Marigold predicts depth, not its inverse: the decoder's output is returned unchanged."""
         pipeline = skymoor.densify._marigold._pipeline(marigold, "cpu")
         ramp = torch.linspace(-1, 1, 120).expand(1, 3, 90, 120)
 

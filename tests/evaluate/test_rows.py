@@ -104,7 +104,7 @@ def test_two_cameras_and_a_line_have_no_procrustes_error() -> None:
         assert row.mean_absolute_m == pytest.approx(1.0, abs=1e-6)
 
 
-def test_components_are_rows_and_unplaced_ones_have_no_numbers() -> None:
+def test_components_are_rows_and_refused_ones_have_no_numbers() -> None:
     truth = truth_positions(8)
     first = estimates(truth + [1.0, 0, 0])[:4]
     second = [Estimate(f"air/{k}.jpg", "airborne", 1, False) for k in (4, 5)]
@@ -121,7 +121,7 @@ def test_components_are_rows_and_unplaced_ones_have_no_numbers() -> None:
     assert rows[2].mean_absolute_m == pytest.approx(2.0, abs=1e-6)
 
 
-def test_a_camera_without_a_place_does_not_undo_its_component() -> None:
+def test_a_camera_without_a_position_does_not_invalidate_its_component() -> None:
     truth = truth_positions(6)
     found = estimates(truth + [1.0, 0, 0])
     (row,) = evaluate([*found[:5], Estimate("air/5.jpg", "airborne", 0, False)], truths(truth), FRAME, COVARIANCE, {})

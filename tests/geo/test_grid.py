@@ -39,7 +39,7 @@ def test_sample_is_exact_on_a_bilinear_surface() -> None:
     np.testing.assert_allclose(sample(surface, px), expected)
 
 
-def test_sample_knows_nothing_next_to_a_hole_or_outside() -> None:
+def test_sample_is_nan_next_to_a_hole_and_outside() -> None:
     raster = np.ones((4, 5), dtype=np.float32)
     raster[1, 2] = np.nan  # its centre is (2.5, 1.5)
     px = [[2.5, 1.5], [2.4, 1.5], [1.6, 0.6], [1.5, 1.5], [1.4, 1.5], [3.5, 1.0], [0.4, 1.0], [4.5, 3.5], [4.6, 3.5]]

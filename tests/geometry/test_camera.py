@@ -59,7 +59,7 @@ def test_matrix_projects() -> None:
     np.testing.assert_allclose(camera.px_from_cam([[0.1, -0.2, 1.0]])[0], homogeneous[:2])
 
 
-def test_behind_the_camera_is_nowhere() -> None:
+def test_points_behind_the_camera_are_nan() -> None:
     px = CAMERAS["barrel"].px_from_cam([[0.1, 0.1, -1.0], [0.1, 0.1, 0.0], [0.1, 0.1, 1.0]])
     assert np.isnan(px).all(axis=1).tolist() == [True, True, False]
 

@@ -67,7 +67,7 @@ def test_recovers_a_tilt_that_the_level_hypotheses_lack() -> None:
     assert 0.5 < tilt_deg(result.transform) < 0.7
 
 
-def test_same_generator_same_answer() -> None:
+def test_same_generator_same_result() -> None:
     source, target, _ = matches(similarity(10.0), np.random.default_rng(2))
     a, b = (ransac_similarity(source, target, inlier_m=1.0, rng=np.random.default_rng(5)) for _ in range(2))
     np.testing.assert_array_equal(a.transform.matrix(), b.transform.matrix())
@@ -161,7 +161,7 @@ def test_covariance_at_a_point_is_that_of_its_errors() -> None:
     assert ((ratio > 0.7) & (ratio < 1.3)).all()
 
 
-def test_refinement_walks_to_the_answer() -> None:
+def test_refinement_converges() -> None:
     rng, truth = np.random.default_rng(8), similarity(70.0, 0.5)
     source, target, right = matches(truth, rng, outliers=0.3)
     start = similarity(70.5, 0.2, translation=(50.4, -20.3, 7.2))

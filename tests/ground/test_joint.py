@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Components that are decided together: what one shows must not stand in what another looks through."""
+"""Joint decision: the surface of one component must not lie in the observed free space of another."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def share(a: Sequence[DepthMap], enu_from_a: Similarity, b: Sequence[DepthMap], 
 
 
 def into_the_way() -> Similarity:
-    """The second house where the first model's cameras stand and look."""
+    """The second house in the free space of the first model's cameras."""
     cameras = centres(walk_round(WORLD, 0))[:, :2].mean(axis=0)
     aside = 0.3 * WORLD.middle[0] + 0.7 * cameras - WORLD.middle[1]
     return Similarity(1.0, np.eye(3), np.array([*aside, 0.0]))
 
 
-def answers(*candidates: tuple[float, Similarity]) -> WallHypotheses:
+def hypotheses(*candidates: tuple[float, Similarity]) -> WallHypotheses:
     found = [Registration(True, "", place, n_matches=200, n_inliers=150, tilt_deg=1.0) for _, place in candidates]
     ranked = [
         RefinedHypothesis(
@@ -83,7 +83,7 @@ def test_the_unit_of_a_model_does_not_matter(first: list[DepthMap], second: list
     assert share(small, wrong @ level_from_enu.inverse(), first, HERE) == pytest.approx(expected, abs=0.02)
 
 
-def test_models_that_share_nothing_say_nothing(first: list[DepthMap], second: list[DepthMap]) -> None:
+def test_models_without_overlap_have_no_conflict(first: list[DepthMap], second: list[DepthMap]) -> None:
     far = Similarity(1.0, np.eye(3), np.array([500.0, 0.0, 0.0]))
     assert share(first, HERE, second, far) == 0
 
@@ -92,43 +92,43 @@ def test_a_hypothesis_that_contradicts_another_component_is_excluded(
     first: list[DepthMap], second: list[DepthMap]
 ) -> None:
     """Alone the second component is refused, since two hypotheses compete; one of them contradicts the first."""
-    sure, torn = answers((80.0, HERE)), answers((60.0, into_the_way()), (55.0, HERE))
-    assert "a competing hypothesis" in torn.decide().reason
-    found = decide_jointly(["a", "b"], [sure, torn], [first, second])
+    clear, ambiguous = hypotheses((80.0, HERE)), hypotheses((60.0, into_the_way()), (55.0, HERE))
+    assert "a competing hypothesis" in ambiguous.decide().reason
+    found = decide_jointly(["a", "b"], [clear, ambiguous], [first, second])
     assert [r.registered for r in found] == [True, True]
     assert found[1].enu_from_level is HERE
     assert found[1].diagnostics["second_contrast"] == 0
     assert found[1].diagnostics["guesses"] == 3
     # The order in which they come does not matter.
-    turned = decide_jointly(["b", "a"], [torn, sure], [second, first])
-    assert turned[0].enu_from_level is HERE
+    swapped = decide_jointly(["b", "a"], [ambiguous, clear], [second, first])
+    assert swapped[0].enu_from_level is HERE
 
 
 def test_a_component_without_another_hypothesis_is_refused_by_name(
     first: list[DepthMap], second: list[DepthMap]
 ) -> None:
     wrong = into_the_way()
-    for lost in (answers((60.0, wrong)), OneHypothesis(Registration(True, "", wrong, diagnostics={"score": 60.0}))):
-        found = decide_jointly(["walk-0", "walk-1"], [answers((80.0, HERE)), lost], [first, second])
+    for lost in (hypotheses((60.0, wrong)), OneHypothesis(Registration(True, "", wrong, diagnostics={"score": 60.0}))):
+        found = decide_jointly(["walk-0", "walk-1"], [hypotheses((80.0, HERE)), lost], [first, second])
         assert [r.registered for r in found] == [True, False]
         assert "contradicts walk-0" in found[1].reason
 
 
-def test_the_surer_one_stays_and_nothing_is_lost_without_components(
-    first: list[DepthMap], second: list[DepthMap]
-) -> None:
+def test_the_more_confident_component_is_kept(first: list[DepthMap], second: list[DepthMap]) -> None:
     wrong = into_the_way()
-    found = decide_jointly(["a", "b"], [answers((50.0, HERE)), answers((90.0, wrong))], [first, second])
+    found = decide_jointly(["a", "b"], [hypotheses((50.0, HERE)), hypotheses((90.0, wrong))], [first, second])
     assert [r.registered for r in found] == [False, True]
     assert decide_jointly([], [], []) == []
     refused = OneHypothesis(Registration(False, "too few", None))
     assert decide_jointly(["a"], [refused], [first])[0].reason == "too few"
     blind = [replace(m, depth=np.full_like(m.depth, np.nan)) for m in second]
-    assert decide_jointly(["a", "b"], [answers((80.0, HERE)), answers((60.0, wrong))], [first, blind])[1].registered
+    assert decide_jointly(["a", "b"], [hypotheses((80.0, HERE)), hypotheses((60.0, wrong))], [first, blind])[
+        1
+    ].registered
 
 
 def test_scores_come_in_the_order_of_the_hypotheses() -> None:
-    found = answers((60.0, HERE), (20.0, into_the_way()))
+    found = hypotheses((60.0, HERE), (20.0, into_the_way()))
     assert found.scores == [candidate.contrast for candidate in found.candidates]
     assert found.scores[0] > found.scores[1] and len(found.similarities) == 2
     assert OneHypothesis(Registration(True, "", HERE, n_inliers=70)).scores == [70.0]

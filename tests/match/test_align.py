@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from skymoor.match import CyclicOptions, ImageHypothesis, StructuralMatcher, lay, match_hypothesis
+from skymoor.match import CyclicOptions, ImageHypothesis, StructuralMatcher, match_hypothesis, warp_raster
 from skymoor.types import Raster, Warp
 from support.pictures import GRID, Overhead, another_day, noise_picture, seen_through
 
@@ -31,17 +31,17 @@ def placed_points(matrix: Array, px: Array) -> Array:
 class TestLay:
     def test_identity_is_the_picture(self) -> None:
         a = Raster(noise_picture((50, 70)), np.ones((50, 70), bool), ramp((50, 70)).height)
-        laid = lay(a, IDENTITY, (70, 50))
-        np.testing.assert_array_equal(laid.rgb, a.rgb)
-        np.testing.assert_array_equal(laid.mask, a.mask)
-        np.testing.assert_allclose(laid.height, a.height, rtol=1e-6)
+        warped = warp_raster(a, IDENTITY, (70, 50))
+        np.testing.assert_array_equal(warped.rgb, a.rgb)
+        np.testing.assert_array_equal(warped.mask, a.mask)
+        np.testing.assert_allclose(warped.height, a.height, rtol=1e-6)
 
     def test_whole_shift(self) -> None:
         a = ramp((50, 70))
-        laid = lay(a, np.column_stack([np.eye(2), [5, -3]]), (70, 50))
-        np.testing.assert_array_equal(laid.rgb[:47, 5:], a.rgb[3:, :65])
-        assert laid.mask[:47, 5:].all() and not laid.mask[:, :5].any() and not laid.mask[47:].any()
-        assert laid.height is not None and np.isnan(laid.height[47:]).all()
+        warped = warp_raster(a, np.column_stack([np.eye(2), [5, -3]]), (70, 50))
+        np.testing.assert_array_equal(warped.rgb[:47, 5:], a.rgb[3:, :65])
+        assert warped.mask[:47, 5:].all() and not warped.mask[:, :5].any() and not warped.mask[47:].any()
+        assert warped.height is not None and np.isnan(warped.height[47:]).all()
 
     @pytest.mark.parametrize("scale", [0.2, 0.37, 0.5, 0.8, 1.0, 1.7])
     @pytest.mark.parametrize("heading_deg", [0, 90, 33])
@@ -49,18 +49,18 @@ class TestLay:
         shape = (150, 190)
         a = ramp(shape)
         matrix = ImageHypothesis(scale, np.radians(heading_deg), (120.3, 99.6), 0.0).matrix(shape)
-        laid = lay(a, matrix, (240, 200))
-        rows, columns = np.nonzero(laid.mask)
+        warped = warp_raster(a, matrix, (240, 200))
+        rows, columns = np.nonzero(warped.mask)
         assert len(rows) > 0.8 * min(scale**2 * 150 * 190, 20000)
         linear = np.linalg.inv(matrix[:, :2])
         px_a = (np.column_stack([columns, rows]) + 0.5 - matrix[:, 2]) @ linear.T
-        assert laid.height is not None
-        # Heights are linear, so averaging changes nothing; they come in pixels of the laid picture.
-        error = laid.height[rows, columns] / scale - px_a @ [1, 2]
+        assert warped.height is not None
+        # Heights are linear, so averaging changes nothing; they come in pixels of the warped picture.
+        error = warped.height[rows, columns] / scale - px_a @ [1, 2]
         assert np.abs(np.median(error)) < 0.02
         # OpenCV rounds places to 1/32 of a pixel, and heights climb by 3 across one.
         assert np.percentile(np.abs(error), 98) * scale < 0.2
-        colours = laid.rgb[rows, columns, :2].astype(float) + 0.5
+        colours = warped.rgb[rows, columns, :2].astype(float) + 0.5
         assert np.abs(np.median(colours - px_a, axis=0)).max() < 1.0  # rounded twice
 
     def test_holes_stay_holes(self) -> None:
@@ -68,10 +68,10 @@ class TestLay:
         mask, height = a.mask.copy(), np.array(a.height)
         mask[20:30] = False
         height[40:50] = np.nan
-        laid = lay(Raster(a.rgb, mask, height), np.column_stack([np.eye(2) * 2, [0, 0]]), (120, 120))
-        assert laid.height is not None
-        assert not laid.mask[40:60].any() and laid.mask[65:115, 5:-5].all()
-        assert np.isnan(laid.height[80:100]).all() and np.isfinite(laid.height[5:75, 5:-5]).all()
+        warped = warp_raster(Raster(a.rgb, mask, height), np.column_stack([np.eye(2) * 2, [0, 0]]), (120, 120))
+        assert warped.height is not None
+        assert not warped.mask[40:60].any() and warped.mask[65:115, 5:-5].all()
+        assert np.isnan(warped.height[80:100]).all() and np.isfinite(warped.height[5:75, 5:-5]).all()
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 70.0, 205.0])
@@ -84,8 +84,8 @@ def test_matches_of_a_placed_picture_are_exact(first_day: Overhead, heading_deg:
     a = Raster(a.rgb, a.mask, (a.height / np.float32(scale)).astype(np.float32))
     b = another_day(seen_through(first_day, lambda px: px, GRID.shape))
     # The search is right to a degree, a percent and a pixel; what is left must not show in the matches.
-    guess = ImageHypothesis(1.01 * scale, np.radians(heading_deg + 0.8), (119.3, 97.1), 0.0).matrix(shape)
-    matches, warp = match_hypothesis(a, b, guess, StructuralMatcher(), rng=np.random.default_rng(0))
+    approximate = ImageHypothesis(1.01 * scale, np.radians(heading_deg + 0.8), (119.3, 97.1), 0.0).matrix(shape)
+    matches, warp = match_hypothesis(a, b, approximate, StructuralMatcher(), rng=np.random.default_rng(0))
     assert len(matches) > 1000
     assert (matches.px_a >= 0).all() and (matches.px_a <= [shape[1], shape[0]]).all()
     error = matches.px_b - placed_points(truth, matches.px_a)
@@ -103,7 +103,7 @@ class TestFrames:
     def test_oracle(self, place: tuple[float, float], scale: float) -> None:
         shape = (round(60 / scale), round(80 / scale))
         a, b = ramp(shape), ramp((100, 120))
-        guess = ImageHypothesis(scale, 0.3, place, 0.0).matrix(shape)
+        approximate = ImageHypothesis(scale, 0.3, place, 0.0).matrix(shape)
 
         def identity(x: Raster, y: Raster) -> Warp:
             assert x.mask.shape == y.mask.shape
@@ -112,9 +112,9 @@ class TestFrames:
             return Warp(same, sure, same.copy(), y.mask.astype(np.float32))
 
         options = CyclicOptions(max_matches=300)
-        matches, _ = match_hypothesis(a, b, guess, identity, options, rng=np.random.default_rng(0))
+        matches, _ = match_hypothesis(a, b, approximate, identity, options, rng=np.random.default_rng(0))
         assert len(matches) == 300
-        np.testing.assert_allclose(matches.px_b, placed_points(guess, matches.px_a), atol=1e-3)
+        np.testing.assert_allclose(matches.px_b, placed_points(approximate, matches.px_a), atol=1e-3)
         assert (matches.px_b >= 0).all() and (matches.px_b <= [120, 100]).all()
         # The pictures given to the matcher showed the right parts: b knows where it is by its colours.
         u, v = np.floor(matches.px_b).astype(int).T
@@ -123,15 +123,15 @@ class TestFrames:
     def test_the_matcher_sees_corresponding_parts(self) -> None:
         shape = (120, 160)
         a, b = ramp(shape), ramp((100, 120))
-        guess = ImageHypothesis(0.5, 0.0, (60.0, 50.0), 0.0).matrix(shape)
+        approximate = ImageHypothesis(0.5, 0.0, (60.0, 50.0), 0.0).matrix(shape)
         seen: list[tuple[Raster, Raster]] = []
-        match_hypothesis(a, b, guess, _recorder(seen), rng=np.random.default_rng(0), margin_px=4)
-        ((laid, part),) = seen
+        match_hypothesis(a, b, approximate, _recorder(seen), rng=np.random.default_rng(0), margin_px=4)
+        ((warped, part),) = seen
         assert part.mask.shape == (60 + 8, 80 + 8)
         # Corner of a at (20, 20) of b; the part begins 4 pixels before.
         assert tuple(part.rgb[0, 0, :2]) == (16, 16)
-        assert laid.mask[4:64, 4:84].all() and not laid.mask[:4].any()
-        assert np.abs(laid.rgb[6:60, 6:80, 0].astype(float).mean(axis=0) - (2 * np.arange(2, 76) + 0.5)).max() < 1.0
+        assert warped.mask[4:64, 4:84].all() and not warped.mask[:4].any()
+        assert np.abs(warped.rgb[6:60, 6:80, 0].astype(float).mean(axis=0) - (2 * np.arange(2, 76) + 0.5)).max() < 1.0
 
 
 def _recorder(seen: list[tuple[Raster, Raster]]) -> Callable[[Raster, Raster], Warp]:

@@ -54,7 +54,7 @@ class TestVocabulary:
         same = np.tile(np.eye(2, 8, dtype=np.float32), (50, 1))
         found = vocabulary(same, 5, rng=np.random.default_rng(0))
         assert len(found) == 2 and np.abs(np.sort(found, axis=0) - np.sort(np.eye(2, 8), axis=0)).max() < 1e-6
-        with pytest.raises(TooFewMatches, match="3 local descriptions make no vocabulary of 5 words"):
+        with pytest.raises(TooFewMatches, match="3 local descriptors are too few for a vocabulary of 5 words"):
             vocabulary(same[:3], 5, rng=np.random.default_rng(0))
 
 
@@ -138,7 +138,7 @@ class TestAnyLoc:
         assert (retriever([picture(0)], [blank, blank]) == UNLIKE).all()
 
     def test_more_layers_than_there_are(self, dinov2: Path) -> None:
-        with pytest.raises(InputError, match="has 4 layers; layer = 4 is not among 0 to 3"):
+        with pytest.raises(InputError, match="has 4 layers; layer = 4 must be between -1 and 3"):
             AnyLocRetriever(str(dinov2), device="cpu", layer=4)([picture(0)], [picture(1)])
 
 

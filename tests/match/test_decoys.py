@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skymoor.match import DecoyOptions, SearchOptions, decoy_scores, search_hypotheses
-from skymoor.match.decoys import SEAM_PX, made_decoys, mirrored, mixed
+from skymoor.match.decoys import SEAM_PX, make_decoys, mirrored, mixed
 from skymoor.types import Raster
 from support.pictures import noise_picture
 
@@ -46,7 +46,7 @@ def test_of_a_mixed_picture_no_part_stays(rng: np.random.Generator) -> None:
 
 def test_there_are_as_many_as_asked_for_and_the_first_is_whole(rng: np.random.Generator) -> None:
     a = picture((40, 60), 2)
-    decoys = list(made_decoys(a, DecoyOptions(count=5), rng))
+    decoys = list(make_decoys(a, DecoyOptions(count=5), rng))
     assert len(decoys) == 5
     np.testing.assert_array_equal(decoys[0].rgb, mirrored(a).rgb)
     assert all((decoy.rgb != decoys[0].rgb).any() for decoy in decoys[1:])

@@ -133,7 +133,7 @@ class TestRoma:
 
     def test_sizes_that_the_network_cannot_take(self) -> None:
         for options in ({"coarse_px": 500}, {"coarse_px": 0}, {"upsample_px": 100}, {"upsample_px": -8}):
-            with pytest.raises(InputError, match=rf"{next(iter(options))} = .*multiples of"):
+            with pytest.raises(InputError, match=rf"{next(iter(options))} = .*multiple of"):
                 RomaMatcher(**options)  # type: ignore[arg-type]
         with pytest.raises(InputError, match="side_px = 32"):
             TinyRomaMatcher(side_px=32)

@@ -135,7 +135,7 @@ def test_displacements_out_of_reach_are_not_believed() -> None:
 
 def test_pictures_of_two_sizes_are_a_mistake(first: Raster) -> None:
     smaller = Raster(first.rgb[:-1], first.mask[:-1])
-    with pytest.raises(ValueError, match="one size"):
+    with pytest.raises(ValueError, match="equal size"):
         StructuralMatcher()(first, smaller)
 
 

@@ -39,7 +39,7 @@ def turned(camera: Camera, turn: Array) -> Camera:
     return replace(camera, cam_from_world=Similarity(1.0, turn @ pose.rotation, turn @ pose.translation))
 
 
-def test_parallel_headings_leave_it_to_the_plane() -> None:
+def test_with_parallel_azimuths_the_plane_decides() -> None:
     gravity = found(hidden(strips(), ground_points(800, relief_m=0.5)))
     assert error_deg(gravity) < 0.6
     assert gravity.method == "plane"
@@ -47,7 +47,7 @@ def test_parallel_headings_leave_it_to_the_plane() -> None:
 
 
 @pytest.mark.parametrize(("heading_deg", "low_deg", "high_deg"), [(0, 0.0, 1.0), (90, 2.0, 3.5)])
-def test_parallel_headings_see_a_slope_across_but_not_along(
+def test_parallel_azimuths_detect_a_slope_across_but_not_along(
     heading_deg: float, low_deg: float, high_deg: float
 ) -> None:
     # The slope runs to the east: a roll of all photos that head north, a pitch of those that head east.

@@ -85,7 +85,7 @@ def error_deg(gravity: Gravity) -> float:
     return float(np.degrees(np.arccos(np.clip(gravity.up @ UP, -1, 1))))
 
 
-def test_upright_edges_tell_it_whatever_the_roll() -> None:
+def test_upright_edges_determine_up_for_any_roll() -> None:
     gravity, _ = found([*walk(roll_deg=3.0), *watchers()])
     assert error_deg(gravity) < 0.15
     assert 0.1 < gravity.sigma_deg < 0.3
@@ -101,7 +101,7 @@ def test_without_edges_it_is_as_good_as_the_cameras_are_held() -> None:
     assert gravity.disagreement_deg == pytest.approx(0.0, abs=1e-3)
 
 
-def test_what_leans_together_is_believed() -> None:
+def test_a_common_lean_is_not_detected() -> None:
     gravity, _ = found(walk(roll_deg=1.0), lean_deg=2.0)
     assert error_deg(gravity) == pytest.approx(2.0, abs=0.3)
 
@@ -143,7 +143,7 @@ def test_two_cameras_are_refused() -> None:
         found(walk(2, along_m=(8.0, 12.0)))
 
 
-def test_labelled_ground_says_how_high_the_cameras_are() -> None:
+def test_labelled_ground_determines_the_camera_height() -> None:
     """Where a bed of flowers hides the foot of the wall, the lowest points are not the ground; labels know better."""
     rng = np.random.default_rng(3)
     wall = wall_points(1200)

@@ -116,10 +116,10 @@ class TestLightGlue:
         assert (index < [len(a[0]), len(b[0])]).all()
         assert len(np.unique(index[:, 0])) == len(index) == len(np.unique(index[:, 1]))
 
-    def test_what_it_is_given_and_what_is_made_of_its_answer(
+    def test_input_and_output_of_lightglue(
         self, matcher: AlikedPairMatcher, photos: Photos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """Pixels count from the centre of the first one, sizes are width and height, unsure answers are left out."""
+        """Pixels count from the centre of the first one, sizes are (width, height), unsure matches are left out."""
         pixels: dict[bytes, Array] = {}
 
         def answer(given: dict[str, dict[str, torch.Tensor]]) -> dict[str, list[torch.Tensor]]:

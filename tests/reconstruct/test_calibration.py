@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The calibration report must admit what the photos cannot tell."""
+"""The calibration report states the uncertainty that the photos leave."""
 
 from __future__ import annotations
 

@@ -39,13 +39,13 @@ def matches_of(rng: np.random.Generator, count: int = 60, *, wrong: int = 0) -> 
 
 class TestLayers:
     def test_the_first_photo_lies_on_the_second(self, rng: np.random.Generator) -> None:
-        """With a fifth of wrong matches, photo and dots are laid to within a pixel."""
+        """With a fifth of wrong matches, photo and dots are warped to within a pixel."""
         layers = pair_layers(_reduced(FIRST, 160), _reduced(PICTURE, 160), matches_of(rng, wrong=12), 160)
         assert layers.shape == (10, 160, 160) and layers.dtype == np.float32
         np.testing.assert_allclose(layers[4:7, :120, :160], np.moveaxis(PICTURE[..., ::-1], -1, 0) / 255, atol=1e-6)
         assert not layers[4:7, 120:].any()
-        laid = layers[7:, 5:100, 35:155]
-        assert np.abs(laid - layers[4:7, 5:100, 35:155]).mean() < 0.04 < 0.1 < np.abs(laid - laid[:, ::-1]).mean()
+        warped = layers[7:, 5:100, 35:155]
+        assert np.abs(warped - layers[4:7, 5:100, 35:155]).mean() < 0.04 < 0.1 < np.abs(warped - warped[:, ::-1]).mean()
         np.testing.assert_array_equal(layers[0], layers[1])
         np.testing.assert_array_equal(layers[2], layers[3])
         rows, columns = np.nonzero(layers[2])
@@ -55,7 +55,7 @@ class TestLayers:
         assert 0.75 < np.mean(near) < 0.95
 
     def test_photos_of_other_sizes(self, rng: np.random.Generator) -> None:
-        """Matches are said in pixels of the whole photos."""
+        """Matches are in pixels of the whole photos."""
         matches = matches_of(rng)
         large = np.repeat(np.repeat(FIRST, 3, axis=0), 3, axis=1)
         whole = np.hstack([3 * matches[:, :2], matches[:, 2:]])
@@ -82,7 +82,7 @@ def graph(rng: np.random.Generator) -> ViewGraph:
 
 
 def saved(path: Path, bias: tuple[float, float] | None = None, *, prefix: str = "module.") -> Path:
-    """The network as its authors save it; with a bias it says the same of every pair."""
+    """The network as its authors save it; with a bias it gives the same for every pair."""
     torch.manual_seed(0)
     tensors = Classifier().state_dict()
     if bias:
@@ -129,6 +129,6 @@ class TestClassifier:
             DoppelgangerClassifier(min_probability=1.2)
 
 
-def test_nothing_to_judge(tmp_path: Path) -> None:
+def test_nothing_to_classify(tmp_path: Path) -> None:
     empty = ViewGraph(Photos((), (), lambda _: PICTURE), (), (), ())
     assert DoppelgangerClassifier(str(saved(tmp_path / "x.pt")), "cpu")(empty) == []

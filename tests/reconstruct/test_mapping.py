@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skymoor.geometry import Intrinsics, Similarity, umeyama
 from skymoor.reconstruct import ReconstructOptions, SiftMatcher, ViewGraph, ground_options, reconstruct
-from skymoor.reconstruct.mapping import _worth_keeping
+from skymoor.reconstruct.mapping import _distinct
 from skymoor.simulate.light.photo import Sensor, take_photo
 from skymoor.types import Camera, Component, Image, Photos
 from support.flight import STANDOFF_M, Flight
@@ -148,10 +148,10 @@ class Model:
 
 def test_models_whose_photos_are_all_in_larger_ones_are_dropped() -> None:
     sets = [{7, 8, 9}, {1, 2, 3, 4, 5}, {2, 3, 4}, {5, 6, 7, 8}, {4, 5, 6}]
-    kept = _worth_keeping([Model(frozenset(s)) for s in sets])  # type: ignore[misc]
+    kept = _distinct([Model(frozenset(s)) for s in sets])  # type: ignore[misc]
     # {4, 5, 6} lies in no other alone, but all of its photos are known already.
     assert [m.reg_image_ids() for m in kept] == [[1, 2, 3, 4, 5], [5, 6, 7, 8], [7, 8, 9]]
-    assert _worth_keeping([]) == []
+    assert _distinct([]) == []
 
 
 def test_photos_of_two_sizes_are_two_cameras(flight: Flight) -> None:
@@ -184,7 +184,7 @@ class Without:
         return [k for k, pair in enumerate(graph.pairs) if photo not in pair]
 
 
-def test_mixed_lenses_are_told_apart_and_pairs_are_filtered(flight: Flight) -> None:
+def test_mixed_cameras_are_separated_and_pairs_are_filtered(flight: Flight) -> None:
     names = [flight.cameras[k].image for k in (*flight.around[:6], *flight.from_above[:4])]
     lens, tele = flight.cameras[0].intrinsics, replace(flight.cameras[0].intrinsics, fx=640.0, fy=640.0)
     tele = replace(tele, distortion=(-0.25, 0.0, 0.0, 0.0))

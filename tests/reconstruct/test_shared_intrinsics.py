@@ -19,7 +19,7 @@ from skymoor.reconstruct.calibration import adjust
 from skymoor.reconstruct.shared_intrinsics import (
     _regrouped,
     group_intrinsics,
-    is_real,
+    is_plausible,
     shared_intrinsics,
     without_doubtful,
     without_impossible,
@@ -58,19 +58,19 @@ def centre_error_m(model: pycolmap.Reconstruction, cameras: Sequence[Camera]) ->
     return float(np.linalg.norm(umeyama(found, true).apply(found) - true, axis=1).mean())
 
 
-def test_the_photos_of_a_walk_share_a_lens_and_security_cameras_do_not() -> None:
+def test_photos_of_one_phone_share_intrinsics_and_security_cameras_do_not() -> None:
     cameras = [*walk(), *watchers()]
     alone = by_itself(cameras, points=200)
     together = group_intrinsics(alone, OPTIONS)
     users = {i: together.image(i).camera_id for i in together.reg_image_ids()}
-    lens_of = {together.image(i).name: camera for i, camera in users.items()}
-    assert len({lens_of[camera.image] for camera in walk()}) == 1
-    assert len(set(lens_of.values())) == 3
+    camera_of = {together.image(i).name: camera for i, camera in users.items()}
+    assert len({camera_of[camera.image] for camera in walk()}) == 1
+    assert len(set(camera_of.values())) == 3
     found = focal_px(together)
     assert found["walk_0"] == pytest.approx(PHONE.fx, rel=0.01)
     assert found["watcher_0"] == pytest.approx(WIDE[0].fx, rel=0.03)
     assert found["watcher_1"] == pytest.approx(WIDE[1].fx, rel=0.03)
-    # That is what it is for: a photo by itself trades its focal length for its place.
+    # A photo by itself confuses its focal length with its position.
     before, after = (centre_error_m(model, cameras) for model in (alone, together))
     assert before > 0.03
     assert 0.001 < after < 0.5 * before
@@ -85,8 +85,8 @@ def test_ids_names_and_points_stay() -> None:
     assert len(alone.cameras) == 11  # the first one is left as it was
 
 
-def test_wrong_observations_do_not_hide_a_shared_lens() -> None:
-    """A photo by itself bends its lens round a few wrong points; the shared lens must not be refused for those."""
+def test_wrong_observations_do_not_hide_shared_intrinsics() -> None:
+    """Own intrinsics adapt to a few wrong points; the shared ones must not be refused for those."""
     component = reconstructed(walk(), wall_points())
     rng, px = np.random.default_rng(2), component.obs_px.copy()
     mine = np.flatnonzero(component.obs_camera == 4)
@@ -101,12 +101,12 @@ def test_wrong_observations_do_not_hide_a_shared_lens() -> None:
     assert 0.7 * len(wrong) < gone < 3 * len(wrong)
 
 
-def test_too_few_photos_are_no_crowd() -> None:
+def test_too_few_photos_share_no_intrinsics() -> None:
     together = group_intrinsics(by_itself(walk(3)), OPTIONS)
     assert len(together.cameras) == 3
 
 
-def test_a_photo_whose_lens_nothing_fixes_is_given_up() -> None:
+def test_a_photo_of_undetermined_intrinsics_is_dropped() -> None:
     cameras = [*walk(), *watchers()]
     together = group_intrinsics(by_itself(cameras), OPTIONS)
     assert without_doubtful(together, OPTIONS).num_reg_images() == 11
@@ -115,26 +115,26 @@ def test_a_photo_whose_lens_nothing_fixes_is_given_up() -> None:
     assert sorted(focal_px(kept)) == sorted(camera.image for camera in walk())
     assert len(kept.cameras) == 1
     assert without_doubtful(together, replace(OPTIONS, max_focal_sigma=1e-6)).num_reg_images() == 0
-    # Lost lenses are found by what no lens can be.
+    # Diverged intrinsics are recognised by implausible values.
     lost = pycolmap.Reconstruction(together)
     camera = lost.camera(lost.image(next(i for i in lost.reg_image_ids() if "watcher" in lost.image(i).name)).camera_id)
     camera.params = [9000.0, *camera.params[1:]]
-    assert not is_real(camera, OPTIONS)
+    assert not is_plausible(camera, OPTIONS)
     assert without_doubtful(lost, OPTIONS).num_reg_images() == 10
 
 
-def test_one_phone_in_two_reconstructions_is_one_lens() -> None:
+def test_one_phone_in_two_reconstructions_has_one_set_of_intrinsics() -> None:
     models = [group_intrinsics(by_itself(walk(seed=seed), seed=seed), OPTIONS) for seed in (3, 4)]
     other = [replace(c, image=f"other_{c.image}", intrinsics=replace(PHONE, fx=600.0, fy=600.0)) for c in walk()]
     models.append(group_intrinsics(by_itself(other), OPTIONS))
-    lens_of = shared_intrinsics(models, OPTIONS)
-    assert len(lens_of) == 18
-    assert lens_of["walk_0"].params[0] == pytest.approx(PHONE.fx, rel=0.01)
-    assert lens_of["other_walk_0"].params[0] == pytest.approx(600, rel=0.01)
-    assert len({id(camera) for camera in lens_of.values()}) == 2
+    camera_of = shared_intrinsics(models, OPTIONS)
+    assert len(camera_of) == 18
+    assert camera_of["walk_0"].params[0] == pytest.approx(PHONE.fx, rel=0.01)
+    assert camera_of["other_walk_0"].params[0] == pytest.approx(600, rel=0.01)
+    assert len({id(camera) for camera in camera_of.values()}) == 2
 
 
-def test_lenses_are_written_for_their_photos_and_begin_those_of_others(tmp_path: Path) -> None:
+def test_intrinsics_are_written_to_their_photos_and_are_the_start_of_others(tmp_path: Path) -> None:
     with pycolmap.Database.open(tmp_path / "database.db") as db:
         for name, width in (("a", 640), ("b", 640), ("c", 300)):
             camera = pycolmap.Camera.create_from_model_name(0, "SIMPLE_RADIAL", 1.2 * width, width, 480)
@@ -150,7 +150,7 @@ def test_lenses_are_written_for_their_photos_and_begin_those_of_others(tmp_path:
 
 
 @pytest.mark.parametrize("focal_px", [-260.0, 1.0, 1e6])
-def test_photos_through_impossible_lenses_are_left_out(focal_px: float) -> None:
+def test_photos_of_impossible_intrinsics_are_left_out(focal_px: float) -> None:
     cameras = walk(8)
     model = _regrouped(colmap_from_component(reconstructed(cameras, wall_points(300))), [], OPTIONS)
     names = {model.image(i).name for i in model.reg_image_ids()}

@@ -314,7 +314,7 @@ class TestBadInput:
     def test_heights_in_feet(self, ortho: Path, dsm: Path) -> None:
         with rasterio.open(dsm, "r+") as raster:
             raster.units = ("ft",)
-        self.refused(ortho, dsm, r"dsm\.tif: its band says that heights are in ft")
+        self.refused(ortho, dsm, r"dsm\.tif: its band has heights in ft")
 
     def test_covariance(self, ortho: Path, dsm: Path) -> None:
         with pytest.raises(InputError, match="positive definite"):

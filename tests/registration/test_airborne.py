@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planted places must come back with an honest accuracy; scrambled matches must be refused."""
+"""Known registrations are recovered with a realistic accuracy; scrambled matches are refused."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def registered(matches: Matches3D, seed: int = 0, options: RegisterOptions | Non
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.4, 0.7])
-def test_a_planted_place_comes_back(outliers: float) -> None:
+def test_a_known_registration_is_recovered(outliers: float) -> None:
     matches = planted(outliers=outliers, seed=1)
     found = registered(matches)
     assert found.registered and found.enu_from_level is not None
@@ -53,14 +53,14 @@ def test_a_planted_place_comes_back(outliers: float) -> None:
     assert (1 - outliers) * 0.93 < found.inlier_ratio < (1 - outliers) * 1.0 + 0.02
     assert 0.8 * np.linalg.norm(SIGMA_M) < found.rmse_m < 1.1 * np.linalg.norm(SIGMA_M)
     assert found.tilt_deg == pytest.approx(1.5, abs=0.25)
-    judged = decide(found, SCORES, 1000)
-    assert judged.registered and judged.reason == ""
-    assert judged.diagnostics["search_score"] == 100 and judged.diagnostics["second_score"] == 22
+    decided = decide(found, SCORES, 1000)
+    assert decided.registered and decided.reason == ""
+    assert decided.diagnostics["search_score"] == 100 and decided.diagnostics["second_score"] == 22
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 53.0])
 def test_matches_on_one_vertical_plane_have_an_accuracy(heading_deg: float) -> None:
-    """A single wall: its matches are on a line in plan, which leaves no slope across that line to be told."""
+    """A single wall: its matches are on a line in plan, which does not determine the slope across that line."""
     rng = np.random.default_rng(4)
     heading = np.radians(heading_deg)
     east, north = (np.round(f(heading), 2) for f in (np.sin, np.cos))
@@ -72,7 +72,7 @@ def test_matches_on_one_vertical_plane_have_an_accuracy(heading_deg: float) -> N
         wall, target, Similarity.identity(), sigma_m=SIGMA_M, tilt_sigma_deg=3.0, rng=rng
     )
     sigma_m = np.sqrt(np.diag(point_covariance(covariance, centre, wall.mean(axis=0))[0]))
-    # Not better than 400 independent matches tell along the wall and up, and no worse than one match does.
+    # Not better than 400 independent matches along the wall and up, and no worse than one match.
     assert np.hypot(sigma_m[0], sigma_m[1]) > 0.7 * 0.2 / np.sqrt(400) and sigma_m[2] > 0.7 * 0.35 / np.sqrt(400)
     assert (sigma_m < 0.35).all()
     found = registered(Matches3D(wall, target, Matches2D(np.zeros((400, 2)), np.zeros((400, 2)), np.ones(400))))
@@ -109,7 +109,7 @@ def test_few_or_degenerate_matches_give_a_reason() -> None:
     assert not registered(pole).registered
 
 
-def test_the_same_seed_gives_the_same_answer() -> None:
+def test_the_same_seed_gives_the_same_result() -> None:
     a, b = (registered(planted(outliers=0.5), seed=3) for _ in range(2))
     assert a.enu_from_level is not None and b.enu_from_level is not None
     np.testing.assert_array_equal(a.enu_from_level.matrix(), b.enu_from_level.matrix())

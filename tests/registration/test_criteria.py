@@ -38,12 +38,12 @@ def kinds_in_the_code() -> set[str]:
     return found
 
 
-def test_the_table_has_every_kind_that_is_asked_and_no_other() -> None:
+def test_the_table_has_every_kind_that_is_checked_and_no_other() -> None:
     assert kinds_in_the_code() == set(KINDS)
 
 
 @pytest.mark.parametrize("name", sorted(KINDS))
-def test_a_kind_says_what_it_means_and_what_helps(name: str) -> None:
+def test_a_kind_has_meaning_and_remedy(name: str) -> None:
     kind = KINDS[name]
     assert kind.meaning.endswith(".") and kind.remedy.endswith(".") and kind.scopes
     assert kind.limit.startswith(f"at {kind.at} ")
@@ -78,7 +78,7 @@ def test_the_first_that_failed_gives_reason_and_remedy() -> None:
     assert with_criteria(FOUND, asked[:1]).registered and with_criteria(FOUND, asked[:1]).reason == ""
 
 
-def test_an_estimator_says_itself_why_it_found_nothing() -> None:
+def test_the_reason_of_an_estimator_is_kept() -> None:
     failed = Registration(registered=False, reason="too few matches", enu_from_level=None)
     assert with_criteria(failed, [criterion(ESTIMATE, 0, 1)]).reason == "too few matches"
     assert refusal_of(criterion(ESTIMATE, 0, 1), {}) == KINDS[ESTIMATE].refusal

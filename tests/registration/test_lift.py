@@ -92,7 +92,7 @@ def test_what_is_outside_is_dropped(render: Render, reference: Reference) -> Non
     assert len(lifted(at_reference((-3, 50), (50, 200.5), (240.2, 10), (5, 5)), render, reference)) == 1
 
 
-def test_what_the_render_does_not_believe_is_dropped(render: Render, reference: Reference) -> None:
+def test_pixels_of_low_confidence_are_dropped(render: Render, reference: Reference) -> None:
     confidence = render.confidence.copy()
     confidence[:, :160] = 0.29
     found = lifted(matches(), replace(render, confidence=confidence), reference)

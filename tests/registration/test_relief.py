@@ -50,12 +50,12 @@ def test_a_smoother_reference_is_not_a_flatter_one(truth: Array) -> None:
     assert relief is not None and relief.ratio == pytest.approx(1.0, abs=0.06)
 
 
-def test_flat_ground_says_nothing_with_much_conviction(truth: Array) -> None:
+def test_flat_ground_gives_a_large_sigma(truth: Array) -> None:
     relief = estimate_height_scale(noisy(0 * truth, 0.02, 0), noisy(0 * truth, 0.15, 1), PIXEL_M)
     assert relief is None or relief.sigma > 0.3
 
 
-def test_too_little_in_common_is_no_answer(truth: Array) -> None:
+def test_too_little_overlap_gives_no_result(truth: Array) -> None:
     reference = np.full_like(truth, np.nan)
     reference[:12, :12] = truth[:12, :12]
     assert estimate_height_scale(noisy(truth, 0.05, 0), reference.astype(np.float32), PIXEL_M) is None

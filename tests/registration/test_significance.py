@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chance is as likely as it is said to be; heights deny what colours believe."""
+"""False-alarm probabilities are calibrated; heights can contradict colours."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from scipy.ndimage import gaussian_filter
 from skymoor.registration import false_alarm_probability, height_agreement
 
 
-def test_chance_is_as_likely_as_said(rng: np.random.Generator) -> None:
-    """Of pictures that lie nowhere, like their decoys, five in a hundred look as if they had a chance of 5 %."""
-    said = []
+def test_false_alarm_probabilities_are_calibrated(rng: np.random.Generator) -> None:
+    """Of images that match nowhere, as their decoys, five in a hundred have a probability below 5 %."""
+    probabilities = []
     for _ in range(4000):
         *decoys, other = 25 * np.exp(0.12 * rng.normal(size=5))
-        said.append(false_alarm_probability(other, decoys))
-    assert 0.035 < np.mean(np.array(said) < 0.05) < 0.065
-    assert 0.002 < np.mean(np.array(said) < 0.01) < 0.016
+        probabilities.append(false_alarm_probability(other, decoys))
+    assert 0.035 < np.mean(np.array(probabilities) < 0.05) < 0.065
+    assert 0.002 < np.mean(np.array(probabilities) < 0.01) < 0.016
 
 
 def test_it_falls_with_the_score_and_rises_with_the_spread() -> None:
-    told = [false_alarm_probability(score, [20.0, 22.0, 24.0, 21.0]) for score in (15, 22, 30, 40, 90)]
-    assert all(a > b for a, b in pairwise(told))
-    assert told[0] > 0.9 and told[2] > 0.005 and 0 < told[-1] < 1e-4
+    probabilities = [false_alarm_probability(score, [20.0, 22.0, 24.0, 21.0]) for score in (15, 22, 30, 40, 90)]
+    assert all(a > b for a, b in pairwise(probabilities))
+    assert probabilities[0] > 0.9 and probabilities[2] > 0.005 and 0 < probabilities[-1] < 1e-4
     assert false_alarm_probability(40, [20, 40, 10, 30]) > false_alarm_probability(40, [24, 26, 25, 25])
     assert false_alarm_probability(40, []) == 1.0 == false_alarm_probability(0, [20.0])
 

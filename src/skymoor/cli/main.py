@@ -53,7 +53,7 @@ COMMANDS = {
 _Command: Any = tyro.conf.OmitArgPrefixes[  # type: ignore[misc]
     reduce(or_, (Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items()))
 ]
-DESCRIPTION = """skymoor moors floating 3D models to the Earth: photos without metadata, an orthophoto and its DSM go
+DESCRIPTION = """skymoor georegisters 3D models: photos without metadata, an orthophoto and its DSM go
 in, and every camera and model gets a position on Earth with its accuracy, or the reason why it has none.
 
 Begin with: skymoor doctor, then skymoor demo, then skymoor run site.toml --out result. Each command explains itself:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth for every pixel of every photo."""
+"""Depth maps of photos: stereo, monocular depth, and pose checks with them."""
 
 from skymoor.densify._depth_anything import DepthAnythingDepth, MetricDepthNetwork
 from skymoor.densify._marigold import MarigoldDepth

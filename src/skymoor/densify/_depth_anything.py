@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth of single photos in one pass, through the library transformers: relative, and in metres.
+"""Monocular depth in one pass, through the library transformers: relative and metric.
 
-Yang et al., Depth Anything V2, NeurIPS 2024. In metres also ZoeDepth (Bhat et al. 2023). The paper's tile scale was to
-come from Metric3D (Yin et al., ICCV 2023), whose weights ask for a licence and whose code is not packaged; what it says
-about focal lengths is applied here to the others.
+Yang et al., Depth Anything V2, NeurIPS 2024. Metric also ZoeDepth (Bhat et al. 2023). The paper proposes
+Metric3D (Yin et al., ICCV 2023) for the tile scale, whose weights need a licence and whose code is not packaged; its
+correction by the focal length is applied here to the others.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ class DepthAnythingDepth:
     def __call__(self, image: Image) -> Array32:
         """Depth (h, w) from -1, nearest, to 0, farthest; see `MonocularDepth`.
 
-        The network says inverse depth, up to scale and zero. That cannot be turned into depth without knowing the zero,
-        so it is turned round: the order is that of depth, and flat parts are flat; distances are not in proportion.
+        The network predicts inverse depth up to scale and offset, which cannot be converted to depth. It is negated
+        instead: the order is that of depth; distances are not proportional.
 
         Raises:
             BackendUnavailable: transformers or the weights are missing.
-            InputError: the folder holds no Depth Anything, one in metres, or not all of it.
+            InputError: the folder has no Depth Anything, a metric one, or not all of it.
         """
         device = torch_device(self.device)
         (folder,) = self.ready()
-        inverse, _ = _answer(folder, device, image, metric=False)
+        inverse, _ = _predict(folder, device, image, metric=False)
         low, high = float(inverse.min()), float(inverse.max())
         return np.asarray((low - inverse) / max(high - low, 1e-12), np.float32)
 
@@ -63,15 +63,15 @@ class DepthAnythingDepth:
 class MetricDepthNetwork:
     """Depth in metres, of Depth Anything's metric models or ZoeDepth.
 
-    A network that has seen one camera only takes an object that appears twice as large for one at half the distance,
-    whatever the lens. Its answer is therefore multiplied by the ratio of the focal lengths.
+    A network trained with one camera relates the size in the image to distance, whatever the focal length. Its
+    prediction is therefore multiplied by the ratio of the focal lengths.
 
     Attributes:
         weights: folder of the model; empty for where `skymoor weights fetch metric-depth-small` puts it.
         device: "auto", "cpu" or "cuda".
-        canonical_focal_px: focal length of the pictures that the network was trained with, in pixels of its input; 0
-            leaves its answers as they are. 1000 is that of Virtual KITTI at 518 rows, for Depth Anything outdoors.
-        max_m: what is farther is not believed: the networks end somewhere, outdoors at 80 m.
+        canonical_focal_px: focal length of the images that the network was trained with, in pixels of its input; 0 for
+            no correction. 1000 is that of Virtual KITTI at 518 rows, for Depth Anything outdoors.
+        max_m: larger depths are dropped: outdoor networks are trained up to 80 m.
     """
 
     weights: str = ""
@@ -89,34 +89,34 @@ class MetricDepthNetwork:
 
         Raises:
             BackendUnavailable: transformers or the weights are missing.
-            InputError: the folder holds no such network, a relative one, or not all of it.
+            InputError: the folder has no such network, a relative one, or not all of it.
         """
         device = torch_device(self.device)
         (folder,) = self.ready()
-        depth, ratio = _answer(folder, device, image, metric=True)
+        depth, ratio = _predict(folder, device, image, metric=True)
         known = np.where((depth > 0) & (depth < self.max_m), depth, np.nan)
-        lens = focal_px * ratio / self.canonical_focal_px if self.canonical_focal_px > 0 else 1.0
-        return np.asarray(known * lens, np.float32)
+        focal_ratio = focal_px * ratio / self.canonical_focal_px if self.canonical_focal_px > 0 else 1.0
+        return np.asarray(known * focal_ratio, np.float32)
 
 
 _: type[MonocularDepth] = DepthAnythingDepth
 _metric: type[MetricDepth] = MetricDepthNetwork
 
 
-def _answer(folder: Path, device: str, image: Image, *, metric: bool) -> tuple[Array32, float]:
-    """What the network says (h, w), and how many rows of its input are one of the photo."""
+def _predict(folder: Path, device: str, image: Image, *, metric: bool) -> tuple[Array32, float]:
+    """Prediction of the network (h, w), and rows of its input per row of the photo."""
     processor, network = _network(folder, device, metric=metric)
     import torch
-    from PIL import Image as Pictures
+    from PIL import Image as PilImage
 
-    # ZoeDepth's processor would put a border round the photo, and needs torchvision to take it off again.
-    given = processor(images=Pictures.fromarray(image), do_pad=False, return_tensors="pt").to(device)
+    # ZoeDepth's processor would pad the photo, and needs torchvision to crop the result.
+    inputs = processor(images=PilImage.fromarray(image), do_pad=False, return_tensors="pt").to(device)
     with torch.inference_mode():
-        found = network(**given).predicted_depth
-    # The library's own enlargement is cubic, and overshoots at edges to depths below 0.
+        predicted = network(**inputs).predicted_depth
+    # The library's own resampling is cubic, and overshoots at edges to depths below 0.
     h, w = image.shape[:2]
-    depth = cv2.resize(found[0].float().cpu().numpy(), (w, h), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(depth, np.float32), given["pixel_values"].shape[-2] / h
+    depth = cv2.resize(predicted[0].float().cpu().numpy(), (w, h), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(depth, np.float32), inputs["pixel_values"].shape[-2] / h
 
 
 @lru_cache(maxsize=2)
@@ -124,10 +124,10 @@ def _network(folder: Path, device: str, *, metric: bool) -> tuple[Any, Any]:
     transformers = require("transformers", "depth")
     kinds = ("depth_anything", "zoedepth") if metric else ("depth_anything",)
     network = open_model(transformers.AutoModelForDepthEstimation, folder, kinds)
-    says = describes(folder).get("depth_estimation_type", "metric" if "zoedepth" in kinds else "relative")
-    if says != ("metric" if metric else "relative"):
+    kind = describes(folder).get("depth_estimation_type", "metric" if "zoedepth" in kinds else "relative")
+    if kind != ("metric" if metric else "relative"):
         raise InputError(
-            f"{folder}: its depths are {says}; {'metres' if metric else 'relative depths'} are wanted here"
+            f"{folder}: its depths are {kind}; {'metric' if metric else 'relative'} depths are required here"
         )
     with reading(folder):
         processor = transformers.AutoImageProcessor.from_pretrained(

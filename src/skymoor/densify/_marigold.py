@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Marigold, the paper's depth of single photos, through the library diffusers.
+"""Marigold, the paper's monocular depth, through the library diffusers.
 
 Ke et al., Repurposing Diffusion-Based Image Generators for Monocular Depth Estimation, CVPR 2024.
 """
@@ -29,9 +29,9 @@ class MarigoldDepth:
     Attributes:
         weights: folder of the model; empty for where `skymoor weights fetch marigold` puts it.
         device: "auto", "cpu" or "cuda"; half precision on CUDA only.
-        side_px: long side at which a photo is looked at; the answer has the photo's own size.
-        steps: of denoising; 0 for the model's own number.
-        ensemble: so many answers are aligned and their median taken.
+        side_px: long side of the network's input; the result has the size of the photo.
+        steps: of denoising; 0 for the model's default.
+        ensemble: number of predictions, which are aligned and their median taken.
         seed: of the noise.
     """
 
@@ -59,21 +59,21 @@ class MarigoldDepth:
 
         Raises:
             BackendUnavailable: diffusers, transformers or the weights are missing.
-            InputError: the folder holds no Marigold for depth, or not all of it.
+            InputError: the folder has no Marigold for depth, or not all of it.
         """
         device = torch_device(self.device)
         pipeline = _pipeline(*self.ready(), device)
         import torch
-        from PIL import Image as Pictures
+        from PIL import Image as PilImage
 
-        found = pipeline(
-            Pictures.fromarray(image),
+        output = pipeline(
+            PilImage.fromarray(image),
             num_inference_steps=self.steps or None,
             ensemble_size=self.ensemble,
             processing_resolution=min(self.side_px, max(image.shape[:2])),
             generator=torch.Generator(device).manual_seed(self.seed),
         )
-        return np.asarray(found.prediction[0, :, :, 0], np.float32)
+        return np.asarray(output.prediction[0, :, :, 0], np.float32)
 
 
 _: type[MonocularDepth] = MarigoldDepth
@@ -87,16 +87,16 @@ def _pipeline(folder: Path, device: str) -> Any:
     index = describes(folder, "model_index.json")
     kind = index.get("_class_name")
     if kind != "MarigoldDepthPipeline" or index.get("prediction_type") not in (None, "depth"):
-        raise InputError(f"{folder}: holds a {kind}, not a MarigoldDepthPipeline; is it the right one?")
+        raise InputError(f"{folder}: holds a {kind}, not a MarigoldDepthPipeline; give another folder")
     dtype = torch.float16 if device == "cuda" else torch.float32
-    # The pipeline would read its parts itself, and fill with random numbers what they lack.
+    # The pipeline itself would fill missing weights of its parts with random numbers.
     safe: dict[str, Any] = {"dtype": dtype, "use_safetensors": True}
     unet = open_model(diffusers.UNet2DConditionModel, folder / "unet", ("UNet2DConditionModel",), **safe)
     vae = open_model(diffusers.AutoencoderKL, folder / "vae", ("AutoencoderKL",), **safe)
-    words = open_model(transformers.CLIPTextModel, folder / "text_encoder", (), **safe)
+    text_encoder = open_model(transformers.CLIPTextModel, folder / "text_encoder", (), **safe)
     with reading(folder):
         pipeline = diffusers.MarigoldDepthPipeline.from_pretrained(
-            folder, unet=unet, vae=vae, text_encoder=words, local_files_only=True, dtype=dtype
+            folder, unet=unet, vae=vae, text_encoder=text_encoder, local_files_only=True, dtype=dtype
         )
     pipeline.set_progress_bar_config(disable=True)
     return pipeline.to(device)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""COLMAP's dense stereo, the paper's, where a build of it that can use a GPU is installed.
+"""COLMAP's PatchMatch stereo, as in the paper; needs a build of COLMAP with GPU support.
 
 Schoenberger, Zheng, Pollefeys and Frahm, Pixelwise View Selection for Unstructured Multi-View Stereo, ECCV 2016.
 """
@@ -38,9 +38,9 @@ class PatchMatchDepth:
             the PATH otherwise.
         max_px: long side of the depth maps.
         partners: stereo partners per photo.
-        best_angle_deg, max_angle_deg: wanted and largest angle between viewing rays.
+        best_angle_deg, max_angle_deg: best and largest angle between viewing rays.
         min_views: other depth maps that must confirm a depth for it to count.
-        tolerance_ratio: within which share of the depth.
+        tolerance_ratio: relative difference of depths that confirm each other.
         noise_px: standard deviation of a disparity.
     """
 
@@ -62,30 +62,30 @@ class PatchMatchDepth:
         """Depth maps of all cameras that have partners; see `DepthEstimator`.
 
         Raises:
-            BackendUnavailable: no build of COLMAP is there that can use a GPU, or it failed.
-            InputError: nothing is at the path of the program.
+            BackendUnavailable: there is no build of COLMAP that can use a GPU, or it failed.
+            InputError: there is no program at the given path.
         """
         engine = self._engine()
-        wanted = stereo_partners(
+        partners = stereo_partners(
             component, count=self.partners, best_angle_deg=self.best_angle_deg, max_angle_deg=self.max_angle_deg
         )
         progress(0, len(component.cameras))
         with TemporaryDirectory(prefix="skymoor-") as temporary:
             folder = Path(temporary)
             views = [self._view(camera, photos) for camera in component.cameras]
-            write_workspace(folder, component, views, wanted)
+            write_workspace(folder, component, views, partners)
             engine(folder, lambda done: progress(min(done, len(views)), len(views) + 1))
-            depths = {k: _depth(folder, k, view) for k, view in enumerate(views) if wanted[k]}
-        maps = [self._confirmed(k, views, depths, wanted[k]) for k in depths]
+            depths = {k: _depth(folder, k, view) for k, view in enumerate(views) if partners[k]}
+        maps = [self._confirmed(k, views, depths, partners[k]) for k in depths]
         progress(len(views), len(views))
-        return [one for one in maps if np.isfinite(one.depth).any()]
+        return [depth_map for depth_map in maps if np.isfinite(depth_map.depth).any()]
 
     def _view(self, camera: Camera, photos: Photos) -> View:
         return undistorted(*reduced(camera, photos.read(camera.image), self.max_px))
 
     def _confirmed(self, k: int, views: list[View], depths: dict[int, Array32], partners: list[int]) -> DepthMap:
         camera, rgb = views[k]
-        # Who has k for a partner has looked at it as well.
+        # Only maps of partners are compared.
         others = [(views[j][0], depths[j]) for j in partners if j in depths]
         sigma, n_views = confirmed(
             (camera, depths[k]), others, tolerance_ratio=self.tolerance_ratio, noise_px=self.noise_px
@@ -110,7 +110,7 @@ def read_colmap_depth(path: Path) -> Array32:
     """A depth map (h, w) as COLMAP writes it: its sizes, then rows of float32; 0 is no depth.
 
     Raises:
-        InputError: the file is missing, cut off, or something else.
+        InputError: the file is missing, truncated, or of another format.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such depth map; run COLMAP's patch_match_stereo first")
@@ -122,17 +122,17 @@ def read_colmap_depth(path: Path) -> Array32:
         raise InputError(f"{path}: not a depth map of COLMAP; is it the right file?") from None
     if min(width, height) < 1 or channels != 1 or len(values) != 4 * width * height:
         raise InputError(
-            f"{path}: cut off, or not a depth map of COLMAP ({width} x {height} x {channels}); make it again"
+            f"{path}: truncated, or not a depth map of COLMAP ({width} x {height} x {channels}); compute it again"
         )
     return np.array(np.frombuffer(values, "<f4").reshape(height, width), np.float32)
 
 
 def write_workspace(folder: Path, component: Component, views: list[View], partners: list[list[int]]) -> None:
-    """What patch_match_stereo works in: photos and cameras without distortion, points, and who looks at whom.
+    """Write the workspace of patch_match_stereo: undistorted photos and cameras, points, and stereo partners.
 
     Args:
-        folder: an empty one.
-        component: points and who sees them.
+        folder: an empty folder.
+        component: points and their observations.
         views: per camera, without distortion.
         partners: per camera; one without is left out.
     """
@@ -143,16 +143,16 @@ def write_workspace(folder: Path, component: Component, views: list[View], partn
     cameras = tuple(replace(camera, image=_name(k)) for k, (camera, _) in enumerate(views))
     px = np.zeros_like(component.obs_px)
     for k, camera in enumerate(cameras):
-        mine = component.obs_camera == k
-        xyz_cam = camera.cam_from_world.apply(component.points[component.obs_point[mine]])
-        px[mine] = np.nan_to_num(camera.intrinsics.px_from_cam(xyz_cam))
+        own = component.obs_camera == k
+        xyz_cam = camera.cam_from_world.apply(component.points[component.obs_point[own]])
+        px[own] = np.nan_to_num(camera.intrinsics.px_from_cam(xyz_cam))
     colmap_from_component(replace(component, cameras=cameras, obs_px=px)).write(folder / "sparse")
-    lines = [f"{_name(k)}\n{', '.join(_name(j) for j in mine)}\n" for k, mine in enumerate(partners) if mine]
+    lines = [f"{_name(k)}\n{', '.join(_name(j) for j in chosen)}\n" for k, chosen in enumerate(partners) if chosen]
     (folder / "stereo/patch-match.cfg").write_text("".join(lines))
 
 
 def _name(index: int) -> str:
-    """A picture that needs no compression, which two libraries in one process may disagree about."""
+    """File name of an uncompressed image: image libraries of OpenCV and COLMAP may conflict in one process."""
     return f"{index:06d}.ppm"
 
 
@@ -165,18 +165,18 @@ def _depth(folder: Path, index: int, view: View) -> Array32:
     return np.where(depth > 0, depth, np.float32(np.nan))
 
 
-def _program(given: str) -> str:
-    """The program, if its build can use a GPU."""
-    program = shutil.which(given or "colmap")
-    if program is None and given:
-        raise InputError(f"{given}: there is no such program; give the path of colmap")
+def _program(path: str) -> str:
+    """Path of the program `colmap`, if its build can use a GPU."""
+    program = shutil.which(path or "colmap")
+    if program is None and path:
+        raise InputError(f"{path}: there is no such program; give the path of colmap")
     if program is None:
         raise BackendUnavailable(
-            "PatchMatch stereo needs a GPU: pycolmap here is a build without, and there is no program colmap; "
-            "install COLMAP with CUDA, or take sgm"
+            "PatchMatch stereo needs a GPU: this pycolmap has no CUDA, and there is no program colmap; "
+            "install COLMAP with CUDA, or use sgm"
         )
-    says = subprocess.run([program, "help"], capture_output=True, text=True, check=False).stdout
-    if "with CUDA" not in says and "with HIP" not in says and "with GPU" not in says:
+    help_text = subprocess.run([program, "help"], capture_output=True, text=True, check=False).stdout
+    if "with CUDA" not in help_text and "with HIP" not in help_text and "with GPU" not in help_text:
         raise BackendUnavailable(f"{program}: a build of COLMAP that cannot use a GPU; install one with CUDA")
     return program
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The offline default: semi-global matching (Hirschmueller 2008, OpenCV) on rectified neighbours, fused per photo.
 
-Rectification turns both cameras about their centres until rows are epipolar lines (Fusiello, Trucco, Verri 2000);
+Rectification rotates both cameras about their centres so that rows are epipolar lines (Fusiello, Trucco, Verri 2000);
 lens distortion is removed in the same resampling.
 """
 
@@ -37,9 +37,9 @@ class SgmDepth:
     Attributes:
         max_px: long side of the depth maps.
         partners: stereo partners per photo.
-        best_angle_deg, max_angle_deg: wanted and largest angle between viewing rays.
+        best_angle_deg, max_angle_deg: best and largest angle between viewing rays.
         min_views: partners that must agree for a depth to count.
-        noise_grey: standard deviation of the image noise, in grey levels; sets what texture is worth.
+        noise_grey: standard deviation of the image noise, in grey levels; sets the precision of textured surfaces.
     """
 
     max_px: int = 800
@@ -51,7 +51,7 @@ class SgmDepth:
 
     def __call__(self, component: Component, photos: Photos, *, progress: Progress = no_progress) -> list[DepthMap]:
         """Depth maps of all cameras that have partners; see `DepthEstimator`."""
-        wanted = stereo_partners(
+        partners = stereo_partners(
             component, count=self.partners, best_angle_deg=self.best_angle_deg, max_angle_deg=self.max_angle_deg
         )
 
@@ -59,13 +59,13 @@ class SgmDepth:
         def view(index: int) -> tuple[Camera, Image]:
             return reduced(component.cameras[index], photos.read(component.cameras[index].image), self.max_px)
 
-        def one(index: int) -> DepthMap | None:
-            return self._depth_map(component, index, wanted[index], view) if wanted[index] else None
+        def depth_map_of(index: int) -> DepthMap | None:
+            return self._depth_map(component, index, partners[index], view) if partners[index] else None
 
         maps: list[DepthMap] = []
-        # OpenCV's own threads do not scale on one pair; whole photos side by side do.
+        # OpenCV's threads do not scale on one pair; whole photos in parallel do.
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            for done, depth_map in enumerate(pool.map(one, range(len(component.cameras)))):
+            for done, depth_map in enumerate(pool.map(depth_map_of, range(len(component.cameras)))):
                 if depth_map is not None and np.isfinite(depth_map.depth).any():
                     maps.append(depth_map)
                 progress(done + 1, len(component.cameras))
@@ -97,8 +97,8 @@ def pair_depth(
     """
     rect = _rectify(camera, other, near, far)
     if rect is None:
-        nothing = np.full((camera.intrinsics.height, camera.intrinsics.width), np.nan, np.float32)
-        return nothing, nothing
+        unknown = np.full((camera.intrinsics.height, camera.intrinsics.width), np.nan, np.float32)
+        return unknown, unknown
     left, inside = _warp(image, camera, rect, rect.cx)
     right, _ = _warp(other_image, other, rect, rect.cx + rect.d_min)
     disparity = _match(left, right, rect.n_disparities)
@@ -120,13 +120,13 @@ class _Rectified:
 
 
 def _rectify(camera: Camera, other: Camera, near: float, far: float) -> _Rectified | None:
-    """A common image plane for two cameras; None where the search would be absurd."""
+    """A common image plane for two cameras; None where they cannot be rectified."""
     step = other.centre - camera.centre
     baseline = float(np.linalg.norm(step))
     x = step / baseline
     forward = camera.cam_from_world.rotation[2] + other.cam_from_world.rotation[2]
     z = forward - (forward @ x) * x
-    if np.linalg.norm(z) < 0.5:  # one camera flies straight ahead of the other
+    if np.linalg.norm(z) < 0.5:  # the baseline is along the viewing direction
         return None
     z /= np.linalg.norm(z)
     rotation = np.stack([x, np.cross(z, x), z])
@@ -136,12 +136,12 @@ def _rectify(camera: Camera, other: Camera, near: float, far: float) -> _Rectifi
     rays = i.rays(border) @ camera.cam_from_world.rotation @ rotation.T
     if rays[:, 2].min() < 0.2:
         return None
-    # The rectified z of the depth range's ends, anywhere in the picture.
+    # The rectified z at both ends of the depth range, anywhere in the image.
     ends = np.concatenate([rays[:, 2] * near, rays[:, 2] * far])
     span = baseline / ends.min() - baseline / ends.max()  # of the disparity, per pixel of focal length
     flat = rays[:, :2] / rays[:, 2:]
     low, high = flat.min(axis=0), flat.max(axis=0)
-    # A long range of depths, or a picture stretched by its slant, is searched at a coarser scale, not given up.
+    # A large depth range, or an image stretched by rectification, is searched at a coarser scale.
     area = float(np.prod(high - low))
     focal = min(i.fx, MAX_DISPARITIES / span, np.sqrt(MAX_STRETCH * i.width * i.height / area))
     count = int(np.ceil((focal * span + 2) / 16) * 16)
@@ -151,11 +151,16 @@ def _rectify(camera: Camera, other: Camera, near: float, far: float) -> _Rectifi
 
 
 def _warp(image: Image, camera: Camera, rect: _Rectified, cx: float) -> tuple[Image, Mask]:
-    """Resample an image into the rectified frame; also where the result lies inside the photo."""
+    """Resample an image into the rectified frame; also a mask of pixels inside the photo."""
     matrix = np.array([[rect.focal, 0, cx - 0.5], [0, rect.focal, rect.cy - 0.5], [0, 0, 1]])
-    turn = rect.rotation @ camera.cam_from_world.rotation.T
+    rect_from_cam = rect.rotation @ camera.cam_from_world.rotation.T
     map_x, map_y = cv2.initUndistortRectifyMap(
-        camera.intrinsics.matrix_cv(), np.array(camera.intrinsics.distortion), turn, matrix, rect.size, cv2.CV_32FC1
+        camera.intrinsics.matrix_cv(),
+        np.array(camera.intrinsics.distortion),
+        rect_from_cam,
+        matrix,
+        rect.size,
+        cv2.CV_32FC1,
     )
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     inside = (map_x > 0) & (map_y > 0) & (map_x < image.shape[1] - 1) & (map_y < image.shape[0] - 1)
@@ -184,21 +189,21 @@ def _match(left: Image, right: Image, count: int, block: int = 5) -> Array32:
 
 
 def _disparity_sigma(left: Image, noise_grey: float, window: int = 7) -> Array32:
-    """Standard deviation of a disparity, in pixels, by the texture along the row that can hold it (Foerstner 1982).
+    """Standard deviation of a disparity, in pixels, by the texture along the row (Foerstner 1982).
 
-    A smooth roof has none, and semi-global matching fills it with whatever its border says: the number says so.
+    It is large on surfaces without texture, which semi-global matching fills from their borders.
     """
     gradient = cv2.Scharr(left, cv2.CV_32F, 1, 0, scale=1 / 32)
     energy = cv2.boxFilter(gradient * gradient, cv2.CV_32F, (window, window), normalize=False)
-    # The noise itself makes gradients: what it explains is no texture. Scharr/32 passes about 0.19 of white noise.
+    # Subtract the gradients of the image noise. Scharr/32 passes about 0.19 of white noise.
     energy = np.maximum(energy - window * window * (0.19 * noise_grey) ** 2, 1e-3)
     return np.asarray(np.sqrt(0.2**2 + noise_grey**2 / energy), dtype=np.float32)
 
 
 def _to_camera(disparity: Array32, sigma_d: Array32, camera: Camera, rect: _Rectified) -> tuple[Array32, Array32]:
-    """Rectified disparities to z-depth on the camera's own undistorted pixels."""
-    turn = rect.rotation @ camera.cam_from_world.rotation.T
-    rays = pixel_rays(camera.intrinsics.undistorted()) @ turn.T
+    """z-depth on the camera's undistorted pixels, from rectified disparities."""
+    rect_from_cam = rect.rotation @ camera.cam_from_world.rotation.T
+    rays = pixel_rays(camera.intrinsics.undistorted()) @ rect_from_cam.T
     map_x = (rect.focal * rays[..., 0] / rays[..., 2] + rect.cx - 0.5).astype(np.float32)
     map_y = (rect.focal * rays[..., 1] / rays[..., 2] + rect.cy - 0.5).astype(np.float32)
     nan = float("nan")

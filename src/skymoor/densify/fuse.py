@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several depths of one pixel to one, or none."""
+"""Fusion of several depths per pixel."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ def fuse_depths(
     """The depth that most partners agree on, averaged by weight.
 
     Args:
-        depths: (k, h, w), NaN where a partner saw nothing.
+        depths: (k, h, w), NaN where a partner has no depth.
         sigmas: (k, h, w), standard deviations.
-        min_views: fewer agreeing partners give NaN.
+        min_views: with fewer agreeing partners the result is NaN.
         tolerance_ratio: two depths agree within this share of the depth at most ...
         gate: ... and within this many standard deviations.
 

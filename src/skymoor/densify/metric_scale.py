@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many metres a unit of a model is, by what single photos say about distances (paper, section 5, tile size)."""
+"""Metric scale of a model by monocular metric depth (paper, section 5, tile size)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from skymoor.densify.protocol import MetricDepth
 from skymoor.errors import TooFewMatches
 from skymoor.types import Array, Array32, DepthMap, Progress, no_progress
 
-MAD = 1.4826  # of a normal distribution's standard deviation and its median absolute deviation
-MEDIAN = 1.2533  # and of the errors of a median and a mean
+MAD = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
+MEDIAN = 1.2533  # standard error of a median over that of a mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,10 @@ class MetricScale:
     per_photo: Array
 
     def narrowed(self, low: float, high: float, *, sigmas: float = 2.5) -> tuple[float, float]:
-        """The part of a range of metres per unit that this leaves; the whole range where it contradicts all of it."""
-        reach = float(np.exp(sigmas * self.sigma_ratio))
-        own = self.metres_per_unit / reach, self.metres_per_unit * reach
-        inner = max(low, own[0]), min(high, own[1])
+        """The intersection of a range of metres per unit with this scale's interval; the whole range if it is empty."""
+        factor = float(np.exp(sigmas * self.sigma_ratio))
+        interval = self.metres_per_unit / factor, self.metres_per_unit * factor
+        inner = max(low, interval[0]), min(high, interval[1])
         return inner if inner[0] < inner[1] else (low, high)
 
 
@@ -41,18 +41,18 @@ def scale_from_metric_depth(
     min_photos: int = 3,
     common_sigma_ratio: float = 0.15,
 ) -> MetricScale:
-    """The scale that makes depth maps agree with metric depths of the same pictures.
+    """The scale that makes depth maps agree with metric depths of the same images.
 
-    In each photo the median ratio over the pixels counts, and over the photos the median of those: a network may be
-    wrong about parts of a photo, and about whole photos.
+    It is the median over the photos of the median ratio over their pixels: a network may be wrong in parts of a photo,
+    and in whole photos.
 
     Args:
-        maps: measured depths, in any unit that all share.
-        metres: what a `MetricDepth` says about each map's picture, (h, w) each, NaN where nothing.
+        maps: measured depths, in one common unit.
+        metres: metric depth (h, w) of each map's image by a `MetricDepth`, NaN where unknown.
         max_sigma_ratio: less certain depths are left out.
         min_pixels: photos with fewer common pixels are left out.
         min_photos: fewer photos give no scale.
-        common_sigma_ratio: by which all of a network's answers may be wrong alike: their spread does not show that.
+        common_sigma_ratio: relative standard deviation of a common error of the network, not visible in the spread.
 
     Raises:
         TooFewMatches: too few photos have depths of both kinds.
@@ -64,7 +64,9 @@ def scale_from_metric_depth(
         if np.count_nonzero(good) >= min_pixels:
             logs.append(float(np.median(np.log(metric[good].astype(np.float64) / depth_map.depth[good]))))
     if len(logs) < min_photos:
-        raise TooFewMatches(f"{len(logs)} of {len(maps)} photos have depths in metres and measured ones: no scale")
+        raise TooFewMatches(
+            f"{len(logs)} of {len(maps)} photos have both metric and measured depths; {min_photos} are required"
+        )
     per_photo = np.array(logs)
     middle = float(np.median(per_photo))
     spread = MAD * float(np.median(np.abs(per_photo - middle)))
@@ -75,7 +77,7 @@ def scale_from_metric_depth(
 def metric_scale_of_photos(
     maps: Sequence[DepthMap], engine: MetricDepth, *, progress: Progress = no_progress
 ) -> MetricScale | None:
-    """How many metres a unit of a component is, by a network's depths of its photos; None where they cannot tell."""
+    """Metres per unit of a component, by a network's depths of its photos; None where they are not sufficient."""
     metres = []
     for depth_map in maps:
         metres.append(engine(depth_map.rgb, depth_map.camera.intrinsics.fx))

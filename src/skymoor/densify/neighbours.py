@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which cameras measure depth together, and between which depths."""
+"""Selection of stereo partners, and the depth range of a photo."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def stereo_partners(
     n = len(component.cameras)
     centres = component.centres
     ones = np.ones(len(component.obs_point), np.float32)
-    sees = csr_matrix((ones, (component.obs_camera, component.obs_point)), shape=(n, len(component.points)))
-    shared = (sees @ sees.T).toarray()
-    # A camera that sees no point (its middle is then the origin) shares nothing and gets no partner.
-    middles = (sees @ component.points) / np.maximum(shared.diagonal(), 1)[:, None]
+    observes = csr_matrix((ones, (component.obs_camera, component.obs_point)), shape=(n, len(component.points)))
+    shared = (observes @ observes.T).toarray()
+    # A camera without points (its middle is then the origin) shares none and gets no partner.
+    middles = (observes @ component.points) / np.maximum(shared.diagonal(), 1)[:, None]
     partners: list[list[int]] = []
     for i in range(n):
         to_i = _unit(centres[i] - middles[i])
@@ -36,7 +36,7 @@ def stereo_partners(
 
 
 def _spread(score: NDArray[np.float64], directions: Array, count: int) -> list[int]:
-    """Greedy choice; a baseline parallel to one that is already there brings less."""
+    """Greedy choice; the score of a baseline parallel to a chosen one is reduced."""
     score = score.copy()
     chosen: list[int] = []
     while len(chosen) < count and score.max() > 0:
@@ -48,12 +48,12 @@ def _spread(score: NDArray[np.float64], directions: Array, count: int) -> list[i
 
 
 def depth_range(component: Component, camera: int, *, margin: float = 0.25) -> tuple[float, float]:
-    """Nearest and farthest z-depth worth searching in a camera, from its sparse points with a margin."""
+    """Nearest and farthest z-depth to search in a camera, from its sparse points with a margin."""
     points = component.points[component.obs_point[component.obs_camera == camera]]
     depth = component.cameras[camera].cam_from_world.apply(points)[:, 2]
     depth = depth[depth > 0]
     near, middle, far = np.percentile(depth, [1, 50, 98])
-    # Roofs and tree tops carry few points: what rises above the nearest point must still be within the range.
+    # Roofs and tree tops have few points: surfaces above the nearest point must still be within the range.
     return float(max(near - margin * (middle - near) - 0.08 * middle, 0.2 * near)), float(
         far + margin * (far - middle) + 0.05 * far
     )

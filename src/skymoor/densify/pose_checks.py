@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether each photo shows what the others say that it should: a camera in a wrong place looks at something else.
+"""Pose check: compare each photo with a rendering of the other photos' depth maps from its estimated pose.
 
-Structure from motion may hang a photo on a look-alike, with hundreds of matches that all fit each other. Points of the
-other photos' depth maps, seen from where the camera is said to be, make a picture that the photo must be like.
+Structure from motion may attach a photo to a look-alike, with hundreds of consistent matches. The points of the other
+photos' depth maps, rendered from the estimated pose, must resemble the photo.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from skymoor.densify.views import empty_depth_map
 from skymoor.types import Array, Array32, Camera, DepthMap, Image, Mask, Photos
 
-BLUR_PX, NEAR_RATIO = 1.0, 1.03  # of the pictures; depths that differ by less are one surface
+BLUR_PX, NEAR_RATIO = 1.0, 1.03  # blur of the images; ratio of depths below which they are one surface
 
 
 @dataclass(frozen=True)
@@ -24,14 +24,14 @@ class AgreementOptions:
     """When a photo contradicts the others.
 
     Attributes:
-        width_px: of the pictures that are compared.
-        step_px, dense_maps: every so many pixels of a depth map, along rows and columns, lend a point; fewer in sets of
-            more photos than that.
+        width_px: of the compared images.
+        step_px, dense_maps: depth maps are sampled at every `step_px`-th pixel along rows and columns, more sparsely in
+            sets of more than `dense_maps` photos.
         max_ncc: correlation below which a photo may contradict. Right cameras had 0.69 to 0.99 on three real and
-            simulated sets, and two on a look-alike 0.28 and 0.35.
-        max_share: of the median correlation of the set, below which it must be as well.
-        min_covered: share of the picture that the others must show.
-        min_contrast: standard deviation of what they show, grey levels; a meadow contradicts nothing.
+            simulated sets, two cameras at a look-alike 0.28 and 0.35.
+        max_share: share of the median correlation of the set, below which it must be as well.
+        min_covered: share of the image that the rendering must cover.
+        min_contrast: standard deviation of the rendering in grey levels; uniform surfaces are not tested.
     """
 
     width_px: int = 160
@@ -45,7 +45,7 @@ class AgreementOptions:
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """What the others say of a photo: correlation with what they show there, None where they show too little."""
+    """Consistency of one photo: its correlation with the rendering, None where that shows too little."""
 
     image: str
     ncc: float | None
@@ -54,7 +54,7 @@ class PoseCheck:
 
 
 def check_poses(maps: Sequence[DepthMap], options: AgreementOptions | None = None) -> list[PoseCheck]:
-    """Compare each photo with what the others show from its camera.
+    """Compare each photo with a rendering of the others' depth maps from its camera.
 
     Args:
         maps: depth maps of all cameras of a component in one frame; `empty_depth_map` for those without depth.
@@ -64,14 +64,14 @@ def check_poses(maps: Sequence[DepthMap], options: AgreementOptions | None = Non
         one check per map, in their order.
     """
     options = options or AgreementOptions()
-    # Many photos show each place many times.
-    sparse = options.step_px * max(1.0, np.sqrt(len(maps) / options.dense_maps))
-    clouds = [depth_map.points(step=round(sparse)) for depth_map in maps]
-    heard = _heard(maps, clouds, [True] * len(maps), options)
-    if not any(check.contradicts for check in heard):
-        return heard
-    # Once more without what doubtful cameras lend: of two that see one place, the other may be the wrong one.
-    return _heard(maps, clouds, [not check.contradicts for check in heard], options)
+    # In large sets each surface is in many photos.
+    step_px = options.step_px * max(1.0, np.sqrt(len(maps) / options.dense_maps))
+    clouds = [depth_map.points(step=round(step_px)) for depth_map in maps]
+    checks = _checked(maps, clouds, [True] * len(maps), options)
+    if not any(check.contradicts for check in checks):
+        return checks
+    # Again without the points of contradicting cameras: of two at one place, the other one may be wrong.
+    return _checked(maps, clouds, [not check.contradicts for check in checks], options)
 
 
 def check_camera_poses(
@@ -84,48 +84,49 @@ def check_camera_poses(
     return check_poses([*depths, *(empty_depth_map(camera, photos, options.width_px) for camera in others)], options)
 
 
-def _heard(
+def _checked(
     maps: Sequence[DepthMap],
     clouds: Sequence[tuple[Array32, Image]],
-    trusted: Sequence[bool],
+    consistent: Sequence[bool],
     options: AgreementOptions,
 ) -> list[PoseCheck]:
+    """One check per map, against the points of all other maps that are `consistent`."""
     points = np.concatenate([np.zeros((0, 3), np.float32), *(xyz for xyz, _ in clouds)])
     grey = np.concatenate([np.zeros(0, np.float32), *(rgb.mean(axis=1, dtype=np.float32) for _, rgb in clouds)])
     owner = np.repeat(np.arange(len(maps)), [len(xyz) for xyz, _ in clouds])
-    lends = np.asarray(trusted, bool)[owner] if len(owner) else np.zeros(0, bool)
-    found = []
+    used = np.asarray(consistent, bool)[owner] if len(owner) else np.zeros(0, bool)
+    compared = []
     for k, depth_map in enumerate(maps):
-        others = lends & (owner != k)
-        found.append(_compared(depth_map, points[others], grey[others], options))
-    known = [ncc for ncc, _ in found if ncc is not None]
+        others = used & (owner != k)
+        compared.append(_correlation(depth_map, points[others], grey[others], options))
+    known = [ncc for ncc, _ in compared if ncc is not None]
     limit = min(options.max_ncc, options.max_share * float(np.median(known))) if known else 0.0
     return [
         PoseCheck(depth_map.camera.image, ncc, covered, ncc is not None and ncc < limit)
-        for depth_map, (ncc, covered) in zip(maps, found, strict=True)
+        for depth_map, (ncc, covered) in zip(maps, compared, strict=True)
     ]
 
 
-def _compared(
+def _correlation(
     depth_map: DepthMap, points: Array32, grey: Array32, options: AgreementOptions
 ) -> tuple[float | None, float]:
-    """Correlation of a photo with what points show from its camera, and the share that they cover."""
+    """Correlation of a photo with the rendered points, None where that shows too little, and their coverage."""
     h, w = depth_map.depth.shape
     shape = (max(1, round(h * options.width_px / w)), options.width_px)
-    shown, weight = _splat(depth_map, points, grey, shape)
+    rendered, weight = _splat(depth_map, points, grey, shape)
     covered = weight > 0.5
     if covered.mean() < options.min_covered:
         return None, float(covered.mean())
     photo = cv2.resize(depth_map.rgb, shape[::-1], interpolation=cv2.INTER_AREA).mean(axis=2, dtype=np.float32)
     photo = _blurred(photo, weight > 0)[0]
-    a, b = (x[covered] - x[covered].mean() for x in (shown, photo))
+    a, b = (x[covered] - x[covered].mean() for x in (rendered, photo))
     if a.std() < options.min_contrast:
         return None, float(covered.mean())
     return float((a * b).mean() / max(float(a.std() * b.std()), 1e-9)), float(covered.mean())
 
 
 def _splat(depth_map: DepthMap, points: Array32, grey: Array32, shape: tuple[int, int]) -> tuple[Array32, Array32]:
-    """The nearest points as a picture of `shape`, and how well each pixel is covered, 0 to 1."""
+    """Rendering of the nearest points, of `shape`, and the coverage of each pixel, 0 to 1."""
     camera = depth_map.camera
     xyz = camera.cam_from_world.apply(points)
     front = np.flatnonzero(xyz[:, 2] > 0)
@@ -143,8 +144,8 @@ def _splat(depth_map: DepthMap, points: Array32, grey: Array32, shape: tuple[int
     return _blurred((total / np.maximum(count, 1)).astype(np.float32), count > 0)
 
 
-def _blurred(picture: Array32, known: Mask) -> tuple[Array32, Array32]:
-    """Over the known pixels; and how much of each pixel's neighbourhood is known."""
+def _blurred(image: Array32, known: Mask) -> tuple[Array32, Array32]:
+    """Gaussian blur over the known pixels; and the known share of each pixel's neighbourhood."""
     weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), BLUR_PX)
-    total = cv2.GaussianBlur(np.where(known, picture, 0).astype(np.float32), (0, 0), BLUR_PX)
+    total = cv2.GaussianBlur(np.where(known, image, 0).astype(np.float32), (0, 0), BLUR_PX)
     return np.asarray(total / np.maximum(weight, 1e-6)), np.asarray(weight)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a dense stereo engine is asked, and one that looks at a single photo."""
+"""Interfaces of dense stereo and monocular depth engines."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ class DepthEstimator(Protocol):
 
     @property
     def max_px(self) -> int:
-        """Long side of the depth maps, at most."""
+        """Largest long side of the depth maps, in pixels."""
 
     def __call__(self, component: Component, photos: Photos, *, progress: Progress) -> list[DepthMap]:
-        """One depth map per camera that has partners to measure with."""
+        """One depth map per camera that has stereo partners."""
 
 
 class MonocularDepth(Protocol):
-    """Depth from a single photo, as far as one can tell."""
+    """Relative depth of a single photo."""
 
     def __call__(self, image: Image) -> Array32:
         """Relative depth (h, w) of an image (h, w, 3): larger is farther; scale and zero are unknown."""
 
 
 class MetricDepth(Protocol):
-    """Depth in metres from a single photo, as far as one can tell."""
+    """Metric depth of a single photo."""
 
     def __call__(self, image: Image, focal_px: float) -> Array32:
-        """z-depth (h, w) in metres of an image (h, w, 3) without distortion, NaN where nothing is said."""
+        """z-depth (h, w) in metres of an image (h, w, 3) without distortion, NaN where unknown."""

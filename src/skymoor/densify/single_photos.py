@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth of single photos, which ranks what stereo cannot measure."""
+"""Monocular depth of photos, for surfaces that stereo cannot measure."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def relative_depths(
     maps: Sequence[DepthMap], engine: MonocularDepth, *, progress: Progress = no_progress
 ) -> list[Array32]:
     """Relative depths (h, w) of the photos of depth maps, in their order; larger is farther."""
-    found = []
+    relative = []
     for depth_map in maps:
-        found.append(engine(depth_map.rgb))
-        progress(len(found), len(maps))
-    return found
+        relative.append(engine(depth_map.rgb))
+        progress(len(relative), len(maps))
+    return relative

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photos as depth maps have them: reduced, and without distortion."""
+"""Photos at the size of depth maps: reduced, and without distortion."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def reduced(camera: Camera, image: Image, max_px: int) -> tuple[Camera, Image]:
 
 
 def undistorted(camera: Camera, image: Image) -> tuple[Camera, Image]:
-    """The pinhole camera of the same size and focal length, and what it would have taken."""
+    """The pinhole camera of the same size and focal length, and its image."""
     i, pinhole = camera.intrinsics, camera.intrinsics.undistorted()
     rgb = cv2.undistort(image, i.matrix_cv(), np.array(i.distortion), None, pinhole.matrix_cv())
     return Camera(camera.image, pinhole, camera.cam_from_world), rgb
 
 
 def empty_depth_map(camera: Camera, photos: Photos, max_px: int) -> DepthMap:
-    """The photo of a camera that nothing measures depth with: none of its depths is known."""
+    """A depth map without known depths, for a camera without stereo partners."""
     pinhole, rgb = undistorted(*reduced(camera, photos.read(camera.image), max_px))
     unknown = np.full(rgb.shape[:2], np.nan, np.float32)
     return DepthMap(pinhole, unknown, unknown, np.zeros(rgb.shape[:2], np.uint8), rgb)

@@ -109,7 +109,7 @@ def _seen_through(points: Array, maps: Sequence[DepthMap], tolerance: float, rat
 
     Points that are hidden, outside, or without a known depth count for neither.
     """
-    through, there = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+    through, on_surface = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     for depth_map in maps:
         i = depth_map.camera.intrinsics
         xyz = depth_map.camera.cam_from_world.apply(points)
@@ -121,8 +121,10 @@ def _seen_through(points: Array, maps: Sequence[DepthMap], tolerance: float, rat
         allowed = np.maximum(tolerance, ratio * z)
         with np.errstate(invalid="ignore"):
             through[index[depth > z + allowed]] += 1
-            there[index[np.abs(depth - z) <= allowed]] += 1
-    return int(np.count_nonzero(through > there)), int(np.count_nonzero((there >= through) & (there > 0)))
+            on_surface[index[np.abs(depth - z) <= allowed]] += 1
+    return int(np.count_nonzero(through > on_surface)), int(
+        np.count_nonzero((on_surface >= through) & (on_surface > 0))
+    )
 
 
 def _sampled(maps: Sequence[DepthMap], count: int) -> Array:

@@ -6,7 +6,7 @@ from skymoor.match._anyloc import AnyLocRetriever
 from skymoor.match._loftr import LoftrMatcher
 from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
 from skymoor.match._romav2 import RomaV2Matcher
-from skymoor.match.align import warp_raster, match_hypothesis
+from skymoor.match.align import match_hypothesis, warp_raster
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
 from skymoor.match.decoys import DecoyOptions, decoy_scores
 from skymoor.match.protocol import DenseMatcher, Retriever
@@ -31,7 +31,7 @@ __all__ = [
     "TinyRomaMatcher",
     "cyclic_matches",
     "decoy_scores",
-    "warp_raster",
     "match_hypothesis",
     "search_hypotheses",
+    "warp_raster",
 ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LoFTR, outdoors, through the library kornia: matches without key points.
+"""LoFTR (outdoor model), through the library kornia: detector-free matching.
 
 Sun et al., LoFTR: Detector-Free Local Feature Matching with Transformers, CVPR 2021.
 """
@@ -28,12 +28,13 @@ CELL_PX = 8
 
 @dataclass(frozen=True)
 class LoftrMatcher:
-    """At most one match for each 8 x 8 pixels; the warp is sure there and nowhere else.
+    """LoFTR: at most one match per cell of 8 x 8 pixels; the warp has confidence at these matches only.
 
     Attributes:
         weights: path of loftr_outdoor.ckpt; empty for where `skymoor weights fetch loftr` puts it.
         device: "auto", "cpu" or "cuda".
-        side_px: larger images are reduced to about this long side; memory grows with its fourth power.
+        side_px: larger images are reduced to about this long side; in pixels; memory grows with its fourth
+            power.
     """
 
     weights: str = ""
@@ -42,15 +43,15 @@ class LoftrMatcher:
 
     def __post_init__(self) -> None:
         if self.side_px < 8 * CELL_PX:
-            raise InputError(f"side_px = {self.side_px}: LoFTR needs {8 * CELL_PX} at least")
+            raise InputError(f"side_px = {self.side_px}: LoFTR needs at least {8 * CELL_PX}")
 
     def ready(self) -> tuple[Path, ...]:
-        """The files that will be read; see `__call__` for what is raised where something is missing."""
+        """The files that will be read; raises as `__call__` where something is missing."""
         require("kornia.feature", "kornia")
         return (find("loftr", "loftr_outdoor.ckpt", self.weights),)
 
     def __call__(self, a: Raster, b: Raster) -> Warp:
-        """Match; see `DenseMatcher`. The confidence is the network's, of a match of two cells.
+        """Match; see `DenseMatcher`. The confidence is the network's for the pair of cells.
 
         Raises:
             BackendUnavailable: kornia or the weights are missing.
@@ -64,7 +65,7 @@ class LoftrMatcher:
         grey_a, grey_b = (as_tensor(cv2.cvtColor(x, cv2.COLOR_RGB2GRAY), device) for x in (small_a, small_b))
         with torch.inference_mode():
             found = network({"image0": grey_a, "image1": grey_b})
-        # Unlike key points, LoFTR's pixels have the centre of the first one at (0.5, 0.5), as kornia's manual says.
+        # LoFTR's coordinates have the centre of the first pixel at (0.5, 0.5), according to kornia's manual.
         px_a, px_b = (found[f"keypoints{k}"].cpu().numpy().astype(np.float64) for k in (0, 1))
         return warp_from_pairs(a, b, px_a * scale_a, px_b * scale_b, found["confidence"].float().cpu().numpy())
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RoMa, the paper's matcher, and its small sister, through the library romatch.
+"""RoMa, the paper's matcher, and Tiny RoMa, through the library romatch.
 
 Edstedt et al., RoMa: Robust Dense Feature Matching, CVPR 2024. The coarse features are those of DINOv2.
 """
@@ -29,21 +29,21 @@ from skymoor.types import Raster, Warp
 if TYPE_CHECKING:
     import torch
 
-GRID_PX = 56  # DINOv2 sees patches of 14, the finer network halves three times
+GRID_PX = 56  # DINOv2 uses patches of 14 pixels; the finer network halves three times
 TINY_PX = 32
 
 
 @dataclass(frozen=True)
 class RomaMatcher:
-    """RoMa, outdoors: a flow and its certainty for every pixel, both ways. A GPU is wanted.
+    """RoMa (outdoor model): a flow and its certainty for every pixel, in both directions. A GPU is recommended.
 
     Attributes:
         weights, dinov2: paths of roma_outdoor.pth and dinov2_vitl14_pretrain.pth; empty for where
             `skymoor weights fetch roma` puts them.
         device: "auto", "cpu" or "cuda"; half precision on CUDA only.
-        coarse_px: both images are matched as squares of this side first.
-        upsample_px: and refined as squares of this side; 0 leaves that out, for a third of the time.
-        pairs_at_once: of many; 0 for eight on CUDA and one on a CPU.
+        coarse_px: side of the squares, in pixels, to which both images are resized for the coarse matching.
+        upsample_px: side of the squares for the refinement; 0 skips it, in a third of the time.
+        pairs_at_once: batch size; 0 for eight on CUDA and one on a CPU.
     """
 
     weights: str = ""
@@ -55,18 +55,18 @@ class RomaMatcher:
 
     def __post_init__(self) -> None:
         if self.coarse_px < GRID_PX or self.coarse_px % GRID_PX:
-            raise InputError(f"coarse_px = {self.coarse_px}: RoMa takes multiples of {GRID_PX}, such as 560")
+            raise InputError(f"coarse_px = {self.coarse_px}: must be a multiple of {GRID_PX}, such as 560")
         if self.upsample_px < 0 or self.upsample_px % 8:
-            raise InputError(f"upsample_px = {self.upsample_px}: RoMa takes multiples of 8, such as 864, or 0")
+            raise InputError(f"upsample_px = {self.upsample_px}: must be a multiple of 8, such as 864, or 0")
 
     def ready(self) -> tuple[Path, ...]:
-        """The files that will be read; see `__call__` for what is raised where something is missing."""
+        """The files that will be read; raises as `__call__` where something is missing."""
         require("romatch", "roma")
         weights = find("roma", "roma_outdoor.pth", self.weights)
         return weights, find("roma", "dinov2_vitl14_pretrain.pth", self.dinov2)
 
     def __call__(self, a: Raster, b: Raster) -> Warp:
-        """Match both ways; see `DenseMatcher`.
+        """Match in both directions; see `DenseMatcher`.
 
         Raises:
             BackendUnavailable: romatch or the weights are missing.
@@ -80,14 +80,14 @@ class RomaMatcher:
         return _both_ways((a, b), warp[0], certainty[0])
 
     def many(self, pairs: Iterable[Pair]) -> Iterator[Warp]:
-        """The warp of each pair, several of them at once; see `BatchMatcher`. Raises what a call raises."""
+        """The warp of each pair, in batches; see `BatchMatcher`. Raises the same errors as a call."""
         device = torch_device(self.device)
-        at_once = self.pairs_at_once or (8 if device == "cuda" else 1)
-        waiting = iter(pairs)
-        while some := list(islice(waiting, at_once)):
-            yield from self._together(some, device) if len(some) > 1 else (self(*some[0]),)
+        batch_size = self.pairs_at_once or (8 if device == "cuda" else 1)
+        remaining = iter(pairs)
+        while batch := list(islice(remaining, batch_size)):
+            yield from self._match_batch(batch, device) if len(batch) > 1 else (self(*batch[0]),)
 
-    def _together(self, pairs: Sequence[Pair], device: str) -> Iterator[Warp]:
+    def _match_batch(self, pairs: Sequence[Pair], device: str) -> Iterator[Warp]:
         import torch
         from PIL import Image
 
@@ -108,13 +108,12 @@ class RomaMatcher:
 
 @dataclass(frozen=True)
 class TinyRomaMatcher:
-    """Tiny RoMa, outdoors: RoMa's flow from the features of XFeat (Potje et al., CVPR 2024), in seconds on a CPU.
+    """Tiny RoMa (outdoor model): flow from XFeat features (Potje et al., CVPR 2024), in seconds on a CPU.
 
     Attributes:
         weights: path of tiny_roma_v1_outdoor.pth; empty for where `skymoor weights fetch tiny-roma` puts it.
         device: "auto", "cpu" or "cuda".
-        side_px: images are matched with long sides of at most about so many pixels; memory grows with its fourth
-            power.
+        side_px: larger images are reduced to about this long side, in pixels; memory grows with its fourth power.
     """
 
     weights: str = ""
@@ -123,15 +122,15 @@ class TinyRomaMatcher:
 
     def __post_init__(self) -> None:
         if self.side_px < 2 * TINY_PX:
-            raise InputError(f"side_px = {self.side_px}: tiny RoMa needs {2 * TINY_PX} at least")
+            raise InputError(f"side_px = {self.side_px}: Tiny RoMa needs at least {2 * TINY_PX}")
 
     def ready(self) -> tuple[Path, ...]:
-        """The files that will be read; see `__call__` for what is raised where something is missing."""
+        """The files that will be read; raises as `__call__` where something is missing."""
         require("romatch", "roma")
         return (find("tiny-roma", "tiny_roma_v1_outdoor.pth", self.weights),)
 
     def __call__(self, a: Raster, b: Raster) -> Warp:
-        """Match both ways; see `DenseMatcher`.
+        """Match in both directions; see `DenseMatcher`.
 
         Raises:
             BackendUnavailable: romatch, kornia or the weights are missing.
@@ -140,10 +139,10 @@ class TinyRomaMatcher:
         device = torch_device(self.device)
         network = _tiny_roma(*self.ready(), device)
         images = [as_tensor(fitted(raster.rgb, self.side_px, TINY_PX)[0], device) for raster in (a, b)]
-        # The network answers one way only.
+        # The network matches in one direction only.
         flows = []
-        for one, other in (images, images[::-1]):
-            warp, certainty = network.match(one, other)
+        for source, target in (images, images[::-1]):
+            warp, certainty = network.match(source, target)
             flows.append(EngineFlow(_numpy(warp[0, ..., 2:]), _numpy(certainty[0])))
         return warp_from_flows(a, b, *flows)
 
@@ -153,18 +152,18 @@ _batches: type[BatchMatcher] = RomaMatcher
 
 
 def _both_ways(pair: Pair, warp: torch.Tensor, certainty: torch.Tensor) -> Warp:
-    """What the network says of one pair: side by side there and back, (h, 2 w, 4) and (h, 2 w)."""
+    """The warp of one pair, from the network's outputs (h, 2 w, 4) and (h, 2 w): both directions side by side."""
     width = warp.shape[1] // 2
-    there = EngineFlow(_numpy(warp[:, :width, 2:]), _numpy(certainty[:, :width]))
-    back = EngineFlow(_numpy(warp[:, width:, :2]), _numpy(certainty[:, width:]))
-    return warp_from_flows(*pair, there, back)
+    forward = EngineFlow(_numpy(warp[:, :width, 2:]), _numpy(certainty[:, :width]))
+    backward = EngineFlow(_numpy(warp[:, width:, :2]), _numpy(certainty[:, width:]))
+    return warp_from_flows(*pair, forward, backward)
 
 
 @lru_cache(maxsize=1)
 def _roma(weights: Path, dinov2: Path, device: str, coarse_px: int, upsample_px: int) -> Any:
     """The network, once per process and configuration: it is 1.6 GB."""
     tensors, backbone = load_state_dict(weights), load_state_dict(dinov2)
-    romatch = _silent("romatch")
+    romatch = _import_quietly("romatch")
 
     def build() -> Any:
         return romatch.roma_outdoor(
@@ -175,31 +174,31 @@ def _roma(weights: Path, dinov2: Path, device: str, coarse_px: int, upsample_px:
             upsample_res=upsample_px or None,
             upsample_preds=upsample_px > 0,
             symmetric=True,
-            # A kernel for CUDA; what PyTorch does in its place is the same.
+            # An optional CUDA kernel; PyTorch's fallback computes the same.
             use_custom_corr=device == "cuda" and find_spec("local_corr") is not None,
         )
 
-    return _built(build, {"DinoVisionTransformer": dinov2, "": weights})
+    return _name_misfit(build, {"DinoVisionTransformer": dinov2, "": weights})
 
 
 @lru_cache(maxsize=1)
 def _tiny_roma(weights: Path, device: str) -> Any:
-    romatch = _silent("romatch")
+    romatch = _import_quietly("romatch")
     features = require("kornia.feature.xfeat", "roma").XFeatModel()
     network = romatch.models.model_zoo.tiny_roma_v1_model(weights=None, xfeat=features)
     load_into(network, weights)
     return network.to(device).eval()
 
 
-def _silent(module: str) -> Any:
-    """The library without its log lines: a stage prints nothing."""
+def _import_quietly(module: str) -> Any:
+    """Import the library with its log output disabled: stages print nothing."""
     library = require(module, "roma")
     require("loguru", "roma").logger.disable(module)
     return library
 
 
-def _built(build: Callable[[], Any], files: dict[str, Path]) -> Any:
-    """What `build` returns; if weights do not fit, the file of the network that says so is named."""
+def _name_misfit(build: Callable[[], Any], files: dict[str, Path]) -> Any:
+    """Return `build()`; if weights do not fit the network, raise an error that names their file."""
     try:
         return build()
     except RuntimeError as error:

@@ -67,7 +67,7 @@ def warp_raster(a: Raster, b_from_a: Array, size: tuple[int, int]) -> Raster:
         fraction = cv2.warpAffine(known, matrix, size, flags=cv2.INTER_LINEAR)
         filled = np.where(known > 0, small.height, 0).astype(np.float32)
         total = cv2.warpAffine(filled, matrix, size, flags=cv2.INTER_LINEAR)
-        # Pyramid keeps heights in units of the reduced pixel; the remaining of the scale is applied here.
+        # Pyramid keeps heights in units of the reduced pixel; the rest of the scale is applied here.
         remaining = np.float32(scale / min(1.0, scale))
         height = np.where(fraction > 0.99, total / np.maximum(fraction, 1e-6) * remaining, np.nan).astype(np.float32)
     return Raster(rgb, mask, height)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What two images of one place share when sensor, season and sun do not: where edges run, and where heights step.
+"""Structural channels, comparable across sensors, seasons and illumination: edge directions and height steps.
 
 Colour: the gradient of the log-image as its double and fourfold angle, so that contrast may reverse and crossing
-directions cancel (the family of CFOG, Ye et al. 2019, and HOPC, Ye et al. 2017). Heights: the slope itself, signed,
-for no sun can reverse a roof. Magnitudes are compressed against their neighbourhood: a strong shadow must not outvote
-a street.
+directions cancel (the family of CFOG, Ye et al. 2019, and HOPC, Ye et al. 2017). Heights: the signed slope, since
+illumination cannot reverse it. Magnitudes are compressed relative to their neighbourhood, so that a strong shadow does
+not outweigh a street.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from skymoor.types import Array32, Image, Mask, Raster
 
 @dataclass(frozen=True)
 class ChannelOptions:
-    """How channels are made.
+    """Scales and weights of the structural channels.
 
     Attributes:
-        smooth_px: Gaussian sigma before the gradient.
-        pool_px: Gaussian sigma over which directions are pooled: the tolerance of the comparison.
+        smooth_px: Gaussian sigma before the gradient, in pixels.
+        pool_px: Gaussian sigma over which directions are pooled: the spatial tolerance of the comparison.
         local_px: Gaussian sigma of the neighbourhood against which magnitudes are compressed.
-        slope: slope at which the height channels saturate.
-        height_weight: amplitude of the height channels against the colour channels.
+        slope: slope (rise over run) at which the height channels saturate.
+        height_weight: amplitude of the height channels relative to the colour channels.
     """
 
     smooth_px: float = 0.8
@@ -42,14 +42,14 @@ N_COLOUR = 4
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """Stack (6, h, w) of channels, and where colour and height are known (2, h, w), 0 or 1."""
+    """Channels (6, h, w), and masks (2, h, w) of known colour and known height, 0 or 1."""
 
     values: Array32
     known: Array32
 
 
 def make_channels(raster: Raster, options: ChannelOptions) -> Channels:
-    """Channels of an image; zero where it is unknown."""
+    """Channels of a raster; zero where it is masked."""
     colour, colour_mask = _colour(raster.rgb, raster.mask, options)
     if raster.height is None:
         height, height_mask = np.zeros((2, *raster.mask.shape), np.float32), np.zeros(raster.mask.shape, np.float32)
@@ -59,13 +59,13 @@ def make_channels(raster: Raster, options: ChannelOptions) -> Channels:
 
 
 def rotate_angles(values: Array32, radians: float) -> Array32:
-    """Channels (6, ...) after their image was turned by `radians` from u towards v."""
-    turned = np.empty_like(values)
+    """Channels (6, ...) of an image that was rotated by `radians` from u towards v."""
+    rotated = np.empty_like(values)
     for start, order in ((0, 2), (2, 4), (4, 1)):
         c, s = np.float32(np.cos(order * radians)), np.float32(np.sin(order * radians))
-        turned[start] = c * values[start] - s * values[start + 1]
-        turned[start + 1] = s * values[start] + c * values[start + 1]
-    return turned
+        rotated[start] = c * values[start] - s * values[start + 1]
+        rotated[start + 1] = s * values[start] + c * values[start + 1]
+    return rotated
 
 
 def _colour(rgb: Image, mask: Mask, options: ChannelOptions) -> tuple[Array32, Array32]:
@@ -73,8 +73,8 @@ def _colour(rgb: Image, mask: Mask, options: ChannelOptions) -> tuple[Array32, A
     log = np.log(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) + np.float32(16))
     gu, gv = _gradient(_fill(log, mask), options.smooth_px)
     magnitude = np.hypot(gu, gv) * inner
-    # The floor is below a step of one grey level: without it a blown-out roof would show the channels of
-    # rounding errors.
+    # The floor is below a step of one grey level: it suppresses the channels of rounding errors in saturated
+    # areas.
     compressed = np.tanh(magnitude / (1.5 * _local_rms(magnitude, inner, options.local_px) + 1e-3))
     c, s = gu / (magnitude + 1e-9), gv / (magnitude + 1e-9)
     c2, s2 = c * c - s * s, 2 * c * s
@@ -94,7 +94,7 @@ def _height(height: Array32, options: ChannelOptions) -> tuple[Array32, Array32]
 
 
 def _scaled(stack: Array32, inner: Array32, local_px: float) -> Array32:
-    """Divide by the neighbourhood's energy, so that a car park does not outvote a meadow's only path."""
+    """Divide by the local energy, so that strong texture does not outweigh a single weak edge elsewhere."""
     rms = _local_rms(np.asarray(np.sqrt((stack * stack).sum(axis=0)), dtype=np.float32), inner, 2 * local_px)
     return np.asarray(stack * inner / (rms + 0.1), dtype=np.float32)
 
@@ -110,15 +110,15 @@ def _gradient(values: Array32, sigma: float) -> tuple[Array32, Array32]:
 
 
 def _fill(values: Array32, mask: Mask) -> Array32:
-    """Continue an image beyond its mask with local means, so that its border is no edge."""
+    """Extrapolate an image beyond its mask with local means, so that the mask border creates no edge."""
     known = mask.astype(np.float32)
     filled = np.where(mask, values, 0).astype(np.float32)
     for sigma in (2.0, 8.0, 32.0):
         weight = _blur(known, sigma)
         mean = _blur(np.where(known > 0, filled, 0), sigma) / np.maximum(weight, 1e-6)
-        reach = (known == 0) & (weight > 1e-2)
-        filled[reach] = mean[reach]
-        known[reach] = 1
+        fillable = (known == 0) & (weight > 1e-2)
+        filled[fillable] = mean[fillable]
+        known[fillable] = 1
     overall = float(values[mask].mean()) if mask.any() else 0.0
     filled[known == 0] = overall
     return filled

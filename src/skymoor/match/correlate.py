@@ -19,7 +19,7 @@ _WORKERS = os.cpu_count() or 1
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A reference whose spectra are made once per padded size."""
+    """A reference whose spectra are computed once per padded size."""
 
     channels: Channels
     _spectra: dict[tuple[int, int], NDArray[np.complex64]] = field(default_factory=dict)
@@ -31,7 +31,7 @@ class Target:
         return h, w
 
     def spectra(self, size: tuple[int, int]) -> NDArray[np.complex64]:
-        """Of the channels, of their energy, and of where colour is known: (n + 2, ...)."""
+        """Spectra (n + 2, ...) of the n channels, of their energy, and of the mask of known colour."""
         if size not in self._spectra:
             values = self.channels.values
             stack = np.concatenate([values, (values**2).sum(axis=0)[None], self.channels.known[:1]])
@@ -42,8 +42,9 @@ class Target:
 def correlate(template: Channels, target: Target, *, min_overlap: float, valid: bool = False) -> Array32:
     """Scores of all shifts of a template over a target.
 
-    The score is NCC times the root of the overlap in pixels: about how many standard deviations above chance.
-    Minus infinity where less than `min_overlap` of the template's known pixels lie on known pixels of the target.
+    The score is NCC times the square root of the overlap in pixels: about the number of standard deviations of
+    unrelated content. It is minus infinity where less than the fraction `min_overlap` of the template's known pixels
+    lies on known pixels of the target.
 
     Returns:
         (h, w) whose element (v, u) has the template's first pixel at (v - th + 1, u - tw + 1) of the target; with
@@ -55,29 +56,29 @@ def correlate(template: Channels, target: Target, *, min_overlap: float, valid: 
     size = (fft.next_fast_len(used[0], real=True), fft.next_fast_len(used[1], real=True))
     reference = target.spectra(size)
     stack = np.concatenate([template.values, template.known[:1]])
-    # Correlation is convolution with the template turned by half a turn.
-    own = fft.rfft2(np.ascontiguousarray(stack[:, ::-1, ::-1]), s=size, workers=_WORKERS)
-    products = np.empty((3, *own.shape[1:]), np.complex64)
-    np.multiply(own[0], reference[0], out=products[0])
-    for k in range(1, len(own) - 1):
-        products[0] += own[k] * reference[k]
-    products[1] = own[-1] * reference[-2]
-    products[2] = own[-1] * reference[-1]
+    # Correlation is convolution with the template rotated by 180 degrees.
+    template_spectra = fft.rfft2(np.ascontiguousarray(stack[:, ::-1, ::-1]), s=size, workers=_WORKERS)
+    products = np.empty((3, *template_spectra.shape[1:]), np.complex64)
+    np.multiply(template_spectra[0], reference[0], out=products[0])
+    for k in range(1, len(template_spectra) - 1):
+        products[0] += template_spectra[k] * reference[k]
+    products[1] = template_spectra[-1] * reference[-2]
+    products[2] = template_spectra[-1] * reference[-1]
     maps = fft.irfft2(products, s=size, workers=_WORKERS, overwrite_x=True)
     window = (
         (slice(th - 1, target.shape[0]), slice(tw - 1, target.shape[1])) if valid else (slice(full[0]), slice(full[1]))
     )
     numerator, energy, overlap = maps[(slice(None), *window)]
     area = float(template.known[0].sum())
-    own_energy = float((template.values**2).sum()) * np.maximum(overlap, 0) / max(area, 1.0)
+    template_energy = float((template.values**2).sum()) * np.maximum(overlap, 0) / max(area, 1.0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        score = numerator / np.sqrt(np.maximum(own_energy * energy, 1e-6)) * np.sqrt(np.maximum(overlap, 0))
+        score = numerator / np.sqrt(np.maximum(template_energy * energy, 1e-6)) * np.sqrt(np.maximum(overlap, 0))
     score[(overlap < max(min_overlap * area, 100)) | (energy < 1e-3 * float(energy.max()))] = -np.inf
     return np.asarray(score, dtype=np.float32)
 
 
 def peaks(surface: Array32, *, count: int, apart: int) -> Iterator[tuple[float, float, float]]:
-    """Highest places (v, u, score), to a fraction of a pixel, at least `apart` pixels from each other."""
+    """The highest peaks (v, u, score) with subpixel positions, at least `apart` pixels from each other."""
     surface = surface.copy()
     for _ in range(count):
         v, u = divmod(int(np.argmax(surface)), surface.shape[1])
@@ -89,8 +90,8 @@ def peaks(surface: Array32, *, count: int, apart: int) -> Iterator[tuple[float, 
 
 
 def parabola(three: Array32) -> float:
-    """Place of the top of three values, in steps from the middle one; 0 where they have none."""
+    """Vertex of the parabola through three values, in steps from the middle one; 0 if there is no maximum."""
     if len(three) != 3 or not np.isfinite(three).all():
         return 0.0
-    bend = float(three[0] - 2 * three[1] + three[2])
-    return float(np.clip(0.5 * (three[0] - three[2]) / bend, -0.5, 0.5)) if bend < 0 else 0.0
+    curvature = float(three[0] - 2 * three[1] + three[2])
+    return float(np.clip(0.5 * (three[0] - three[2]) / curvature, -0.5, 0.5)) if curvature < 0 else 0.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from skymoor.engines.options import FIXED
-from skymoor.match.search import SearchOptions, ReferencePyramid, search_in
+from skymoor.match.search import ReferencePyramid, SearchOptions, search_in
 from skymoor.types import Progress, Raster, no_progress
 
 MIN_DECOYS = 2
@@ -55,7 +55,7 @@ def decoy_scores(
     decoys = decoys or DecoyOptions()
     options = replace(options or SearchOptions(), keep=decoys.keep)
     reference, scores = ReferencePyramid(b), []
-    for decoy in made_decoys(a, decoys, rng):
+    for decoy in make_decoys(a, decoys, rng):
         found = search_in(
             reference, decoy, min_scale=min_scale, max_scale=max_scale, options=options, progress=no_progress
         )
@@ -67,7 +67,7 @@ def decoy_scores(
     return scores
 
 
-def made_decoys(a: Raster, options: DecoyOptions, rng: np.random.Generator) -> Iterator[Raster]:
+def make_decoys(a: Raster, options: DecoyOptions, rng: np.random.Generator) -> Iterator[Raster]:
     """Up to `options.count` decoys of `a`, with masks and heights."""
     for k in range(options.count):
         decoy = mirrored(a) if k % 2 == 0 else a

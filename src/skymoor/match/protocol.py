@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the registration asks of a matcher, and of what says which images are worth matching."""
+"""Protocols of dense matchers and of image retrieval."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from skymoor.types import Array, Raster, Warp
 
 
 class DenseMatcher(Protocol):
-    """For each pixel of one image its place in the other, both ways.
+    """Dense matcher: for each pixel of one image its position in the other, in both directions.
 
-    The images have about the same scale and heading; a search in front sees to that, for learned matchers are not
-    rotation-invariant either.
+    The images must have about the same scale and rotation, which the preceding search provides: learned matchers
+    are not rotation-invariant either.
     """
 
     def __call__(self, a: Raster, b: Raster) -> Warp:
-        """Match both ways; confidence 0 where nothing can be said."""
+        """Match in both directions; confidence 0 where there is no match."""
 
 
 class Retriever(Protocol):
-    """Which tiles may show what a photo shows, by a look at whole images.
+    """Image retrieval: ranks tiles by their global similarity to a photo.
 
-    All queries come at once, so that each tile is looked at once, and so that what is common to all photos, or to all
-    renders, can be told from what is special.
+    All queries are passed at once, so that each tile is described once, and what all photos or all renders have in
+    common can be removed.
     """
 
     def __call__(self, queries: Sequence[Raster], tiles: Sequence[Raster]) -> Array:
-        """Likeness (n queries, n tiles), the higher the better; comparable within a row only."""
+        """Similarity (n queries, n tiles), higher is better; comparable within a row only."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One image at many sizes."""
+"""Image pyramid with heights and masks."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from skymoor.types import Raster
 
 
 class Pyramid:
-    """Reduces an image from the nearest of its halvings, so that asking for many sizes stays cheap."""
+    """Reduces a raster from the nearest larger octave, so that many sizes stay cheap."""
 
     def __init__(self, raster: Raster) -> None:
         self._levels = [raster]
 
     def at(self, ratio: float) -> Raster:
-        """The image at `ratio` of its size."""
+        """The raster at `ratio` times its size; heights in units of the new pixel."""
         level = 0
         while ratio * 2 ** (level + 1) <= 1:
             level += 1
@@ -26,18 +26,20 @@ class Pyramid:
 
 
 def resize(raster: Raster, ratio: float, original: Raster, overall: float) -> Raster:
-    """Resample by averaging; heights stay in units of a pixel. The size follows from the `original` one."""
+    """Resample by averaging; heights stay in units of the pixel. The new size is `overall` times that of `original`."""
     h, w = original.mask.shape
     size = (max(1, round(w * overall)), max(1, round(h * overall)))
     if size == raster.mask.shape[::-1]:
         return raster
-    how = cv2.INTER_AREA if ratio < 1 else cv2.INTER_LINEAR
-    mask = cv2.resize(raster.mask.astype(np.float32), size, interpolation=how) > 0.6
-    rgb = cv2.resize(raster.rgb, size, interpolation=how)
+    interpolation = cv2.INTER_AREA if ratio < 1 else cv2.INTER_LINEAR
+    mask = cv2.resize(raster.mask.astype(np.float32), size, interpolation=interpolation) > 0.6
+    rgb = cv2.resize(raster.rgb, size, interpolation=interpolation)
     height = None
     if raster.height is not None:
         known = np.isfinite(raster.height)
-        share = cv2.resize(known.astype(np.float32), size, interpolation=how)
-        total = cv2.resize(np.where(known, raster.height, 0).astype(np.float32), size, interpolation=how)
-        height = np.where(share > 0.6, total / np.maximum(share, 1e-3) * np.float32(ratio), np.nan).astype(np.float32)
+        fraction = cv2.resize(known.astype(np.float32), size, interpolation=interpolation)
+        total = cv2.resize(np.where(known, raster.height, 0).astype(np.float32), size, interpolation=interpolation)
+        height = np.where(fraction > 0.6, total / np.maximum(fraction, 1e-3) * np.float32(ratio), np.nan).astype(
+            np.float32
+        )
     return Raster(rgb, mask, height)

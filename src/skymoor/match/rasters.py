@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nadir render and the reference as matchers take them."""
+"""The nadir render and the reference as input of matchers."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from skymoor.types import Raster, Reference, Render
 
 
 def nadir_raster(render: Render, min_confidence: float) -> Raster:
-    """The render with heights in its pixels, only where their confidence (0 to 1) is high enough."""
+    """The render with heights in units of its pixel, NaN where their confidence (0 to 1) is below `min_confidence`."""
     heights = render.xyz[..., 2] / np.float32(render.view.pixel)
     confident = render.confidence >= min_confidence
     return Raster(render.rgb, np.isfinite(heights), np.where(confident, heights, np.nan).astype(np.float32))
 
 
 def reference_raster(reference: Reference) -> Raster:
-    """The reference with heights in its pixels."""
+    """The reference with heights in units of its pixel."""
     return Raster(reference.rgb, reference.mask, (reference.height / reference.grid.pixel_m).astype(np.float32))

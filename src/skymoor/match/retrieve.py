@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which tiles look like a photo, without learned features: the mix of edge directions in parts of the image.
+"""Image retrieval without learned features: histograms of edge directions in cells of the image.
 
-The offline stand-in for a learned descriptor such as AnyLoc (Keetha et al. 2023), and no match for it: between a photo
-from the ground and a render from the air it is hardly better than chance (simulated site, mean rank of right tiles
-0.46 to 0.49 of all). It serves to let different photos try different tiles first; images from alike directions it
-does tell apart.
+A stand-in for learned descriptors such as AnyLoc (Keetha et al. 2023), and much weaker: between ground photos and
+aerial renders it is hardly better than random order (simulated site: mean rank of correct tiles 0.46 to 0.49 of all).
+It orders the tiles differently for different photos, and separates images taken in similar directions.
 """
 
 from __future__ import annotations
@@ -20,17 +19,17 @@ from skymoor.match.protocol import Retriever
 from skymoor.types import Array, Array32, Raster
 
 UNLIKE = -1.0
-"""Likeness of a tile that shows nothing."""
+"""Similarity assigned to a tile without a known pixel."""
 
 
 @dataclass(frozen=True)
 class ChannelRetriever:
-    """Compares pooled orientation channels at several sizes of the image; colours are not looked at.
+    """Compares pooled orientation channels at several image sizes; colours are not used.
 
     Attributes:
-        long_px: long side to which images are reduced.
-        octaves: so many sizes are described, each half of the one before.
-        cells: the image is described in `cells` x `cells` parts, and as a whole.
+        long_px: long side to which images are reduced, in pixels.
+        octaves: number of sizes, each half of the previous one.
+        cells: the image is described as a whole and in `cells` x `cells` cells.
         channels: how channels are made.
     """
 
@@ -43,18 +42,18 @@ class ChannelRetriever:
         """Cosines (n queries, n tiles) between descriptors, -1 for tiles without a known pixel; see `Retriever`."""
         if not queries or not tiles:
             return np.zeros((len(queries), len(tiles)))
-        of_queries, of_tiles = (np.stack([self._describe(r) for r in rasters]) for rasters in (queries, tiles))
-        shown = np.array([tile.mask.any() for tile in tiles])
-        known = of_tiles[shown] if shown.any() else of_tiles
+        query_vectors, tile_vectors = (np.stack([self._describe(r) for r in rasters]) for rasters in (queries, tiles))
+        is_known = np.array([tile.mask.any() for tile in tiles])
+        known = tile_vectors[is_known] if is_known.any() else tile_vectors
         spread = known.std(axis=0) + 1e-6
-        # Photos differ from renders far more than one place from another: each kind is centred on its own mean. One
-        # photo has no mean of its own.
-        middle = of_queries.mean(axis=0) if len(queries) > 1 else known.mean(axis=0)
-        likeness = _unit((of_queries - middle) / spread) @ _unit((of_tiles - known.mean(axis=0)) / spread).T
-        return np.where(shown, likeness, UNLIKE)
+        # Photos differ from renders far more than one site from another: each kind is centred on its own mean, except
+        # a single photo.
+        centre = query_vectors.mean(axis=0) if len(queries) > 1 else known.mean(axis=0)
+        similarity = _unit((query_vectors - centre) / spread) @ _unit((tile_vectors - known.mean(axis=0)) / spread).T
+        return np.where(is_known, similarity, UNLIKE)
 
     def _describe(self, raster: Raster) -> Array:
-        """Means of the channels and of their absolute values, in all parts, at all sizes."""
+        """Means of the channels and of their absolute values, in all cells, at all sizes."""
         parts = []
         for octave in range(self.octaves):
             small = _reduced(raster, self.long_px / 2**octave)
@@ -80,7 +79,7 @@ def _reduced(raster: Raster, long_px: float) -> Raster:
 
 
 def _pooled(values: Array32, cells: int) -> Array32:
-    """Means over the parts of an image (h, w, ...)."""
+    """Means (cells, cells, ...) over the cells of an image (h, w, ...)."""
     return np.asarray(cv2.resize(values, (cells, cells), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The offline default: every pixel's neighbourhood searched in the other image by structural channels."""
+"""The default matcher, without learned weights: block matching of structural channels."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from skymoor.match.channels import ChannelOptions, Channels, make_channels
 from skymoor.match.protocol import DenseMatcher
 from skymoor.types import Array32, Raster, Warp
 
-GROUPS = (slice(0, 4), slice(4, 6))  # colour and height channels, known in different places
+GROUPS = (slice(0, 4), slice(4, 6))  # colour and height channels, which have separate masks
 
 
 @dataclass(frozen=True)
 class StructuralMatcher:
-    """Block matching of structural channels within `reach_px` of the identity, both ways, to a fraction of a pixel.
+    """Block matching of structural channels within `reach_px` of the identity, in both directions, to subpixels.
 
-    Images must be aligned up to `reach_px`. One cost surface serves both directions, so the cyclic test that
-    follows is the left-right check of stereo.
+    The images must be aligned up to `reach_px`. One cost volume serves both directions, so that the subsequent cyclic
+    test is the left-right check of stereo matching.
 
     Attributes:
-        reach_px: largest displacement.
-        window_px: Gaussian sigma of the neighbourhood that is compared.
-        grid_px: the flow is estimated at every such pixel and interpolated between.
-        margin: by how much the best agreement must exceed the best elsewhere for full confidence.
+        reach_px: search radius: the largest displacement, in pixels.
+        window_px: Gaussian sigma of the matching window, in pixels.
+        grid_px: spacing of the grid on which the flow is estimated; it is interpolated in between.
+        margin: lead of the best correlation over the best elsewhere that gives full confidence.
+        channels: how structural channels are made.
     """
 
     reach_px: int = 8
@@ -37,17 +38,19 @@ class StructuralMatcher:
     channels: ChannelOptions = field(default_factory=ChannelOptions)
 
     def __call__(self, a: Raster, b: Raster) -> Warp:
-        """Match both ways; see `DenseMatcher`."""
+        """Match in both directions; see `DenseMatcher`."""
         if a.mask.shape != b.mask.shape:
-            raise ValueError("the structural matcher compares images of one size")
+            raise ValueError(
+                f"the structural matcher needs images of equal size, not {a.mask.shape} and {b.mask.shape}"
+            )
         forward, backward = self._costs(make_channels(a, self.channels), make_channels(b, self.channels))
-        flow_a, sure_a = self._flow(forward, a.mask.shape)
-        flow_b, sure_b = self._flow(backward, b.mask.shape)
-        # Windows reach beyond the masks; what they find there belongs to no pixel.
-        return Warp(flow_a, sure_a * a.mask, flow_b, sure_b * b.mask)
+        flow_a, confidence_a = self._flow(forward, a.mask.shape)
+        flow_b, confidence_b = self._flow(backward, b.mask.shape)
+        # Windows extend beyond the masks; matches found there are discarded.
+        return Warp(flow_a, confidence_a * a.mask, flow_b, confidence_b * b.mask)
 
     def _costs(self, a: Channels, b: Channels) -> tuple[Array32, Array32]:
-        """Agreement of each grid pixel with each displacement, (h/g, w/g, side, side): of a in b, and of b in a."""
+        """Correlation of each grid pixel at each displacement, (h/g, w/g, side, side): of a in b, and of b in a."""
         r, g = self.reach_px, self.grid_px
         side = 2 * r + 1
         h, w = a.values.shape[1:]
@@ -60,15 +63,15 @@ class StructuralMatcher:
         for dv in range(-r, r + 1):
             for du in range(-r, r + 1):
                 window = (slice(None), slice(r + dv, r + dv + h), slice(r + du, r + du + w))
-                agreement = self._agreement(a, padded_values[window], padded_known[window])
-                forward[..., r + dv, r + du] = agreement[rows, columns]
-                # The pixel y of b that a's pixel x matches by (du, dv) finds x again by (-du, -dv).
+                correlation = self._correlation(a, padded_values[window], padded_known[window])
+                forward[..., r + dv, r + du] = correlation[rows, columns]
+                # If pixel x of a matches y of b by (du, dv), then y matches x by (-du, -dv).
                 back_rows, back_columns = np.clip(rows - dv, 0, h - 1), np.clip(columns - du, 0, w - 1)
-                backward[..., r - dv, r - du] = agreement[back_rows, back_columns]
+                backward[..., r - dv, r - du] = correlation[back_rows, back_columns]
         return forward, backward
 
-    def _agreement(self, a: Channels, b_values: Array32, b_known: Array32) -> Array32:
-        """NCC in a Gaussian window, over the pixels that both know, at one displacement."""
+    def _correlation(self, a: Channels, b_values: Array32, b_known: Array32) -> Array32:
+        """NCC in a Gaussian window, over pixels valid in both images, at one displacement."""
         numerator = np.zeros(a.values.shape[1:], np.float32)
         energy_a, energy_b = np.zeros_like(numerator), np.zeros_like(numerator)
         for k, group in enumerate(GROUPS):
@@ -77,7 +80,7 @@ class StructuralMatcher:
             energy_a += np.einsum("chw,chw->hw", fa, fa) * b_known[k]
             energy_b += np.einsum("chw,chw->hw", fb, fb) * a.known[k]
         stack = [self._pool(x) for x in (numerator, energy_a, energy_b)]
-        # The floor keeps featureless windows, where both energies are noise, from looking certain.
+        # The floor prevents high scores in featureless windows, where both energies are noise.
         return np.asarray(stack[0] / (np.sqrt(np.maximum(stack[1] * stack[2], 0)) + 0.02), dtype=np.float32)
 
     def _pool(self, values: Array32) -> Array32:
@@ -86,7 +89,7 @@ class StructuralMatcher:
         return np.asarray(cv2.blur(once, (width, width), borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
 
     def _flow(self, cost: Array32, shape: tuple[int, int]) -> tuple[Array32, Array32]:
-        """Pixel of the other image (h, w, 2) and confidence (h, w), from one direction's costs."""
+        """Pixel of the other image (h, w, 2) and confidence (h, w) in [0, 1], from one direction's correlations."""
         rows, columns, side, _ = cost.shape
         r, g = self.reach_px, self.grid_px
         flat = cost.reshape(rows, columns, -1)
@@ -98,15 +101,15 @@ class StructuralMatcher:
         fv, fu = _subpixel(cost, dv, du)
         v0, u0 = np.meshgrid(np.arange(rows) * g + g // 2 + 0.5, np.arange(columns) * g + g // 2 + 0.5, indexing="ij")
         flow = np.stack([u0 + du - r + fu, v0 + dv - r + fv], axis=-1).astype(np.float32)
-        sure = np.clip(value, 0, 1) * np.clip((value - second) / self.margin, 0, 1) * inner
-        return _upsample(flow, g, shape), _upsample(sure.astype(np.float32), g, shape)
+        confidence = np.clip(value, 0, 1) * np.clip((value - second) / self.margin, 0, 1) * inner
+        return _upsample(flow, g, shape), _upsample(confidence.astype(np.float32), g, shape)
 
 
 _: type[DenseMatcher] = StructuralMatcher
 
 
 def _second_best(cost: Array32, dv: NDArray[np.intp], du: NDArray[np.intp], apart: int = 3) -> Array32:
-    """The best agreement at least `apart` pixels away from the best."""
+    """The best correlation at least `apart` pixels away from the best."""
     side = cost.shape[-1]
     steps = np.arange(side)
     near_v = np.abs(steps - dv[..., None]) < apart
@@ -116,17 +119,17 @@ def _second_best(cost: Array32, dv: NDArray[np.intp], du: NDArray[np.intp], apar
 
 
 def _subpixel(cost: Array32, dv: NDArray[np.intp], du: NDArray[np.intp]) -> tuple[Array32, Array32]:
-    """Top of the parabolas through the best and its neighbours, down and across, in pixels."""
+    """Vertices of the parabolas through the best and its neighbours, along v and u, in pixels."""
     side = cost.shape[-1]
     v, u = np.clip(dv, 1, side - 2), np.clip(du, 1, side - 2)
     i, j = np.indices(v.shape)
     middle = cost[i, j, v, u]
 
-    def top(low: Array32, high: Array32) -> Array32:
-        bend = np.minimum(low - 2 * middle + high, -1e-6)
-        return np.asarray(np.clip(0.5 * (low - high) / bend, -0.5, 0.5), dtype=np.float32)
+    def vertex(low: Array32, high: Array32) -> Array32:
+        curvature = np.minimum(low - 2 * middle + high, -1e-6)
+        return np.asarray(np.clip(0.5 * (low - high) / curvature, -0.5, 0.5), dtype=np.float32)
 
-    return top(cost[i, j, v - 1, u], cost[i, j, v + 1, u]), top(cost[i, j, v, u - 1], cost[i, j, v, u + 1])
+    return vertex(cost[i, j, v - 1, u], cost[i, j, v + 1, u]), vertex(cost[i, j, v, u - 1], cost[i, j, v, u + 1])
 
 
 def _upsample(values: Array32, grid: int, shape: tuple[int, int]) -> Array32:
@@ -135,9 +138,9 @@ def _upsample(values: Array32, grid: int, shape: tuple[int, int]) -> Array32:
     u = ((np.arange(w) - grid // 2) / grid).astype(np.float32)
     v = ((np.arange(h) - grid // 2) / grid).astype(np.float32)
     map_u, map_v = np.meshgrid(u, v)
-    # Linear continuation at the border would need a special case; flows there are held to the last grid pixel.
-    held_u, held_v = np.clip(map_u, 0, values.shape[1] - 1), np.clip(map_v, 0, values.shape[0] - 1)
-    full = cv2.remap(values, held_u, held_v, cv2.INTER_LINEAR)
+    # Beyond the last grid pixel, displacements are replicated instead of extrapolated.
+    clipped_u, clipped_v = np.clip(map_u, 0, values.shape[1] - 1), np.clip(map_v, 0, values.shape[0] - 1)
+    full = cv2.remap(values, clipped_u, clipped_v, cv2.INTER_LINEAR)
     if full.ndim == 3:
-        full = full + grid * np.stack([map_u - held_u, map_v - held_v], axis=-1)
+        full = full + grid * np.stack([map_u - clipped_u, map_v - clipped_v], axis=-1)
     return np.asarray(full, dtype=np.float32)

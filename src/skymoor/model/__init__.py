@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Models that can be rendered."""
+"""Scene models built from depth maps, and their renders."""
 
 from skymoor.model.blend import BlendOptions
 from skymoor.model.mesh.mesh import MeshBuilder, MeshModel

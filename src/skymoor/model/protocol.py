@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A model that can be rendered, and what builds it."""
+"""Protocols of scene models and of their builders."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ class SceneModel(Protocol):
 
     @property
     def surface_points(self) -> Array:
-        """Points (n, 3) spread over the surface: they say what a view must cover."""
+        """Points (n, 3) distributed over the surface, from which the extent of a view follows."""
 
     @property
     def pixel(self) -> float:
-        """Size of a photo's pixel on the surface, in level units: finer renders show nothing more."""
+        """Ground sampling distance of the photos in level units: finer renders add no detail."""
 
     def render(self, view: View, *, progress: Progress) -> Render:
         """Colour, xyz and confidence of each ray of an orthographic view."""
 
 
 class SceneBuilder(Protocol):
-    """Makes a model of a levelled component from its depth maps."""
+    """Builds a model of a levelled component from its depth maps."""
 
     def __call__(
         self, component: Component, depths: Sequence[DepthMap], *, progress: Progress, checkpoint: Path | None = None
     ) -> SceneModel:
-        """Build the model; long work may be kept in the file `checkpoint`, is taken up from it and removes it."""
+        """Build the model; long computations may resume from the file `checkpoint` and remove it at the end."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The views that are rendered for matching (paper, section 3.1, NeRF reconstruction and rendering)."""
+"""Views rendered for matching (paper, section 3.1, NeRF reconstruction and rendering)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class RenderOptions:
     """Size and number of the renders.
 
     Attributes:
-        max_px: long side of a render; its pixel is never finer than a photo's pixel on the ground.
-        border_percent: share of the surface points that may lie outside, per side.
-        obliques: number of views from the side, evenly around.
-        depression_deg: by which those look down.
+        max_px: largest long side of a render; its pixel is never finer than the photos' ground sampling distance.
+        border_percent: percentage of the surface points that may lie outside, per side.
+        obliques: number of oblique views, evenly spaced in azimuth.
+        depression_deg: angle of the oblique views below the horizon, in degrees.
     """
 
     max_px: int = 2048
@@ -31,53 +31,53 @@ class RenderOptions:
 
 
 def nadir_view(surface_points: Array, pixel: float, options: RenderOptions | None = None) -> View:
-    """Straight down, x of the image along x of the level frame, y along -y.
+    """Nadir view with image x along x of the level frame and image y along -y.
 
     Args:
-        surface_points: (n, 3) in the level frame; the view covers them but for a few outliers.
-        pixel: size of a photo's pixel on the ground, level units.
+        surface_points: (n, 3) in the level frame; the view covers them except for a few outliers.
+        pixel: ground sampling distance of the photos, level units.
     """
-    return _covering(DOWN, surface_points, pixel, options or RenderOptions())
+    return _covering_view(DOWN, surface_points, pixel, options or RenderOptions())
 
 
 def oblique_views(surface_points: Array, pixel: float, options: RenderOptions | None = None) -> list[View]:
-    """Looks at the site from all sides (paper, section 3.4): by default eight, each 45 degrees below the horizon.
+    """Oblique views from all sides (paper, section 3.4): by default eight, 45 degrees below the horizon.
 
     Args:
-        surface_points: (n, 3) in the level frame; each view covers them but for a few outliers.
-        pixel: size of a photo's pixel on the surface, level units.
+        surface_points: (n, 3) in the level frame; each view covers them except for a few outliers.
+        pixel: ground sampling distance of the photos, level units.
 
     Returns:
-        views in the order of the azimuth that one looks in, from the level frame's y axis towards its x axis.
+        views ordered by viewing azimuth, from the level frame's y axis towards its x axis.
     """
     options = options or RenderOptions()
     azimuths = np.arange(options.obliques) * 360 / options.obliques
-    return [_covering(_looking(a, options.depression_deg), surface_points, pixel, options) for a in azimuths]
+    return [_covering_view(_rotation(a, options.depression_deg), surface_points, pixel, options) for a in azimuths]
 
 
 def render_nadir(
     model: SceneModel, options: RenderOptions | None = None, *, progress: Progress = no_progress
 ) -> Render:
-    """The model from straight above."""
+    """Nadir render of the model; see `nadir_view`."""
     return model.render(nadir_view(model.surface_points, model.pixel, options), progress=progress)
 
 
 def render_obliques(
     model: SceneModel, options: RenderOptions | None = None, *, progress: Progress = no_progress
 ) -> list[Render]:
-    """The model from all sides; see `oblique_views`."""
-    found = []
+    """Oblique renders of the model; see `oblique_views`."""
+    renders = []
     views = oblique_views(model.surface_points, model.pixel, options)
     for view in views:
-        found.append(model.render(view, progress=no_progress))
-        progress(len(found), len(views))
-    return found
+        renders.append(model.render(view, progress=no_progress))
+        progress(len(renders), len(views))
+    return renders
 
 
 def tiles(shape: tuple[int, int], *, size: int = 300, overlap: float = 0.25) -> list[tuple[slice, slice]]:
     """Windows (rows, columns) of `size` pixels that share `overlap` with their neighbours (paper, section 3.4, tiling).
 
-    The last of a row or column is moved in, so that all are of one size; a render smaller than that is one tile.
+    The last tile of a row or column is shifted inwards, so that all have the same size; a smaller render is one tile.
     """
     step = max(round(size * (1 - overlap)), 1)
     starts = []
@@ -91,8 +91,8 @@ def tiles(shape: tuple[int, int], *, size: int = 300, overlap: float = 0.25) -> 
     ]
 
 
-def _looking(azimuth_deg: float, depression_deg: float) -> Array:
-    """view_from_level (3, 3) of a view in that direction, upright in the image."""
+def _rotation(azimuth_deg: float, depression_deg: float) -> Array:
+    """view_from_level (3, 3) of an upright view in the given direction."""
     azimuth, depression = np.radians([azimuth_deg, depression_deg])
     along = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
     right = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
@@ -100,7 +100,7 @@ def _looking(azimuth_deg: float, depression_deg: float) -> Array:
     return np.stack([right, np.cross(forward, right), forward])
 
 
-def _covering(view_from_level: Array, surface_points: Array, pixel: float, options: RenderOptions) -> View:
+def _covering_view(view_from_level: Array, surface_points: Array, pixel: float, options: RenderOptions) -> View:
     border = [options.border_percent, 100 - options.border_percent]
     low, high = np.percentile(surface_points @ view_from_level.T, border, axis=0)
     extent = (high - low)[:2]

@@ -60,7 +60,7 @@ _: type[GroundLabeler] = SemanticLabeler
 @lru_cache(maxsize=1)
 def _network(folder: Path, device: str) -> tuple[Any, Any]:
     transformers = require("transformers", "segmentation")
-    # The library would ask on the terminal whether code in the folder may be run, and run it.
+    # Otherwise the library prompts on the terminal for permission to run code of the folder.
     network = open_model(transformers.AutoModelForSemanticSegmentation, folder, (), trust_remote_code=False)
     with reading(folder):
         processor = transformers.AutoImageProcessor.from_pretrained(

@@ -27,7 +27,7 @@ class OrientOptions:
         roll_floor_deg: lower bound of the roll sigma of the cameras.
         common_roll_deg: all cameras may share a roll of this size; it cancels only where azimuths differ.
         plane_threshold_ratio: RANSAC threshold as a share of the median camera-to-point distance.
-        portrait_deg: an x-axis further from the horizon than this belongs to a photo turned on its side.
+        portrait_deg: an x-axis further from the horizon than this belongs to a photo in portrait orientation.
         min_ground_points: with fewer labelled ground points, the labels are not used.
     """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photos to components: structure from motion from nothing but pixels."""
+"""Structure from motion from pixels alone: photos to components."""
 
 from skymoor.reconstruct._aliked import AlikedPairMatcher
 from skymoor.reconstruct._colmap_aliked import ColmapAlikedMatcher

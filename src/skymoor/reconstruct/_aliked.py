@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ALIKED's key points as matches of photos: learned, and bearable on a CPU.
+"""Matches of ALIKED key points: learned, and feasible on a CPU.
 
-Zhao et al. 2023 for the key points; with weights of its own, LightGlue joins them (Lindenberger, Sarlin and Pollefeys,
-ICCV 2023), through the library kornia.
+Zhao et al. 2023 for the key points; optionally matched by LightGlue (Lindenberger, Sarlin and Pollefeys, ICCV 2023),
+through the library kornia.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ if TYPE_CHECKING:
     import torch
 
 Described = tuple[Array, "torch.Tensor"]
-RETRIEVAL = 512  # of each photo's surest key points
+RETRIEVAL = 512  # best key points per photo
 
 
 @dataclass(frozen=True)
 class AlikedPairMatcher:
-    """Key points of each photo once; those that are each other's nearest, or those that LightGlue joins, are matches.
+    """Matches of key points by mutual nearest neighbours or by LightGlue.
 
     Attributes:
-        features: how key points are found.
-        join: "nearest", or "lightglue", which is stronger and wants a GPU.
+        features: the detector.
+        join: "nearest", or "lightglue", which is stronger and recommended with a GPU.
         lightglue: path of aliked_lightglue.pth; empty for where `skymoor weights fetch lightglue-aliked` puts it.
-        max_ratio: of "nearest": closer than this share of the distance to the next best, both ways.
+        max_ratio: of "nearest": largest ratio of the distance to that of the second nearest, both ways.
         min_confidence: of "lightglue".
         shared_camera: photos of one size are taken by one camera.
         exhaustive_below: sets of at most this many photos match every pair.
         neighbours: partners per photo in larger sets.
-        min_matches: pairs with fewer are not worth verifying.
+        min_matches: pairs with fewer are not verified.
     """
 
     features: AlikedFeatures = field(default_factory=AlikedFeatures)
@@ -64,7 +64,7 @@ class AlikedPairMatcher:
             raise InputError(f"max_ratio = {self.max_ratio}, min_confidence = {self.min_confidence}: from 0 to 1")
 
     def ready(self) -> tuple[Path, ...]:
-        """The files that will be read; see `__call__` for what is raised where something is missing."""
+        """The files that will be read; raises as `__call__` where something is missing."""
         if self.join == "nearest":
             return self.features.ready()
         return (*self.features.ready(), find("lightglue-aliked", "aliked_lightglue.pth", self.lightglue))
@@ -99,8 +99,8 @@ class AlikedPairMatcher:
     def _pairs(self, found: Sequence[Described]) -> list[tuple[int, int]]:
         if len(found) <= self.exhaustive_below:
             return exhaustive_pairs(len(found))
-        surest = [np.asarray(described[:RETRIEVAL].float().cpu().numpy(), np.float32) for _, described in found]
-        return preemptive_pairs(surest, neighbours=self.neighbours)
+        best = [np.asarray(described[:RETRIEVAL].float().cpu().numpy(), np.float32) for _, described in found]
+        return preemptive_pairs(best, neighbours=self.neighbours)
 
     def _matched(
         self,
@@ -125,9 +125,9 @@ class AlikedPairMatcher:
 
         device = torch_device(self.features.device)
         network = _lightglue(self.ready()[-1], device)
-        given = {
+        inputs = {
             f"image{k}": {
-                # LightGlue has been trained with pixels whose first has its centre at (0, 0).
+                # LightGlue was trained with the centre of the first pixel at (0, 0).
                 "keypoints": torch.from_numpy(px - 0.5).float().to(device)[None],
                 "descriptors": described[None],
                 "image_size": torch.tensor([size], device=device),
@@ -135,9 +135,9 @@ class AlikedPairMatcher:
             for k, ((px, described), size) in enumerate(zip((a, b), sizes, strict=True))
         }
         with torch.inference_mode():
-            found = network(given)
-        sure = found["scores"][0] >= self.min_confidence
-        return found["matches"][0][sure].cpu().numpy()
+            found = network(inputs)
+        confident = found["scores"][0] >= self.min_confidence
+        return found["matches"][0][confident].cpu().numpy()
 
 
 _: type[PairMatcher] = AlikedPairMatcher
@@ -146,9 +146,9 @@ _: type[PairMatcher] = AlikedPairMatcher
 @lru_cache(maxsize=1)
 def _lightglue(weights: Path, device: str) -> Any:
     library = require("kornia.feature", "kornia").LightGlue
-    # The name of a feature would have the library fetch weights.
+    # With the name of a feature the library would download weights.
     network = library(features=None, **{**library.features["aliked"], "weights": None})
-    # Published before the layers had the names that they have today.
+    # Published under earlier names of the layers.
     load_into(
         network,
         weights,

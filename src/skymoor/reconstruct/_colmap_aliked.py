@@ -22,7 +22,7 @@ JOINED_BY = {"nearest": "bruteforce-matcher.onnx", "lightglue": "aliked-lightglu
 
 @dataclass(frozen=True)
 class ColmapAlikedMatcher:
-    """ALIKED n16rot in COLMAP, joined by nearest neighbours or by LightGlue.
+    """ALIKED n16rot in COLMAP, matched by nearest neighbours or by LightGlue.
 
     Attributes:
         models: folder of the three models; empty for where `skymoor weights fetch colmap-aliked` puts them. COLMAP
@@ -47,13 +47,13 @@ class ColmapAlikedMatcher:
 
         Raises:
             BackendUnavailable: this build of COLMAP has no ONNX, or the models are missing.
-            InputError: they are not in the folder that is given.
+            InputError: they are not in the given folder.
         """
-        # Without ONNX, extraction would end the whole process from a thread of its own.
+        # Without ONNX, extraction would end the whole process from one of its threads.
         if not hasattr(pycolmap.FeatureExtractionOptions(), "aliked"):
             raise BackendUnavailable(
                 "COLMAP's learned features: this build of pycolmap has no ONNX (those on PyPI have not); "
-                "build it with ONNX, or take reconstruct.matcher = aliked, the same network in PyTorch"
+                "build it with ONNX, or use reconstruct.matcher = aliked, the same network in PyTorch"
             )
         names = ("aliked-n16rot.onnx", JOINED_BY[self.join])
         return tuple(find(NAME, name, Path(self.models) / name if self.models else "") for name in names)
@@ -86,7 +86,7 @@ class ColmapAlikedMatcher:
         )
 
     def _options(self, features: Path, joint: Path) -> tuple[Any, Any]:
-        """Of any type: builds without ONNX do not know some of the names."""
+        """COLMAP's options; typed Any, because builds without ONNX lack some of the names."""
         use = {"use_gpu": pycolmap.has_cuda, "num_threads": threads()}
         extraction: Any = pycolmap.FeatureExtractionOptions(**use)
         extraction.type = pycolmap.FeatureExtractorType.ALIKED_N16ROT

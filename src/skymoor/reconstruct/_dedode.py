@@ -23,12 +23,12 @@ from skymoor.types import Array, Image
 
 @dataclass(frozen=True)
 class DedodeDetector:
-    """The detector L. Its descriptions are not needed where a dense matcher says what belongs together.
+    """The detector L; its descriptors are not needed with a dense matcher.
 
     Attributes:
         weights: path of dedode_detector_L.pth; empty for where `skymoor weights fetch dedode-b` puts it.
         device: "auto", "cpu" or "cuda".
-        max_keypoints: the surest so many.
+        max_keypoints: those with the highest scores.
         side_px: larger photos are reduced to this long side; key points are whole pixels of the reduced photo.
     """
 
@@ -42,7 +42,7 @@ class DedodeDetector:
             raise InputError(f"side_px = {self.side_px}, max_keypoints = {self.max_keypoints}: 64 and 1 at least")
 
     def ready(self) -> tuple[Path, ...]:
-        """The files that will be read; see `__call__` for what is raised where something is missing."""
+        """The files that will be read; raises as `__call__` where something is missing."""
         require("kornia.feature", "kornia")
         return (find("dedode-b", "dedode_detector_L.pth", self.weights),)
 
@@ -60,9 +60,9 @@ class DedodeDetector:
         h, w = image.shape[:2]
         reduced, _ = fitted(image, self.side_px, 1)
         with torch.inference_mode():
-            found, _ = network.detect(as_tensor(reduced, device), n=min(self.max_keypoints, reduced[..., 0].size))
+            keypoints, _ = network.detect(as_tensor(reduced, device), n=min(self.max_keypoints, reduced[..., 0].size))
         # From -1 at the left edge of the first pixel to 1 at the right edge of the last.
-        return np.asarray((found[0].double().cpu().numpy() + 1) / 2 * [w, h], np.float64)
+        return np.asarray((keypoints[0].double().cpu().numpy() + 1) / 2 * [w, h], np.float64)
 
 
 @lru_cache(maxsize=1)

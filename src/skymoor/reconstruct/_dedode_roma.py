@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's matches of photos: key points of one engine, joined by the dense warp of another.
+"""The paper's matches of photos: key points of a detector, matched by a dense warp.
 
-Section 3.1, structure from motion: DeDoDe detects, RoMa (Edstedt et al., CVPR 2024) says where each key point is in the
-other photo, and the key point there is its match.
+Section 3.1, structure from motion: DeDoDe detects, RoMa (Edstedt et al., CVPR 2024) predicts each key point in the
+other photo, and the nearest key point there is its match.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ from skymoor.types import Array, Array32, Image, Photos, Progress, Raster, Warp
 
 
 class KeypointDetector(Protocol):
-    """Finds places in a photo that are found in others as well."""
+    """Detects repeatable key points in a photo."""
 
     def __call__(self, image: Image) -> Array:
         """Key points (n, 2) of a photo (h, w, 3), in its pixels."""
 
 
 class DenseWarp(Protocol):
-    """What is asked of a dense matcher: those of the matching stage, such as RoMa, can do it."""
+    """Interface of a dense matcher; those of the matching stage, such as RoMa, have it."""
 
     def __call__(self, a: Raster, b: Raster) -> Warp:
-        """For each pixel of one image its place in the other, both ways."""
+        """For each pixel of one image its position in the other, in both directions."""
 
 
 @dataclass(frozen=True)
 class DedodeRomaMatcher:
-    """Key points that a dense warp takes to each other. A GPU is wanted: RoMa looks at every pair.
+    """Key points matched by a dense warp. A GPU is recommended: RoMa processes every pair.
 
     Attributes:
-        dense: the warp; stages do not know each other's engines, so it is given.
-        detector: the key points.
+        dense: the dense matcher.
+        detector: of the key points.
         side_px: photos are reduced to this long side for the warp.
-        max_distance_px: of the photo so reduced, between where the warp leads and the key point that is there.
+        max_distance_px: in the reduced photo, between the warped key point and its match.
         min_confidence: of the warp, at both ends.
         shared_camera: photos of one size are taken by one camera.
         exhaustive_below: sets of at most this many photos match every pair.
         neighbours: partners per photo in larger sets, chosen by their largest SIFT features.
-        min_matches: pairs with fewer are not worth verifying.
+        min_matches: pairs with fewer are not verified.
     """
 
     dense: DenseWarp
@@ -68,11 +68,11 @@ class DedodeRomaMatcher:
     min_matches: int = field(default=15, metadata=FIXED)
 
     def ready(self) -> tuple[Path, ...]:
-        """The files that both engines will read. Raises what they raise."""
+        """The files that both engines will read. Raises as they do."""
         return files_of(self.dense, self.detector)
 
     def __call__(self, photos: Photos, database: Path, folder: Path, *, seed: int, progress: Progress) -> None:
-        """Fill `database`; see `PairMatcher`. Raises what the two engines raise."""
+        """Fill `database`; see `PairMatcher`. Raises as the two engines do."""
         n = len(photos)
         enter_photos(photos, database, shared_camera=self.shared_camera)
         keypoints = []
@@ -118,13 +118,13 @@ class DedodeRomaMatcher:
 def match_keypoints(
     warp: Warp, px_a: Array, px_b: Array, *, max_distance_px: float, min_confidence: float
 ) -> NDArray[np.uint32]:
-    """Rows (m, 2) of key points (n, 2) that the warp takes to each other, both ways.
+    """Rows (m, 2) of key points (n, 2) that the warp maps to each other, in both directions.
 
-    Of each image's key points the one nearest to where the flow leads counts, if it is near enough and the flow is
-    confident there; and it must lead back to the key point that it comes from.
+    The match is the key point nearest to the warped one, if it is near enough and the warp is confident there; matches
+    must be mutual.
     """
-    b_of_a = _led_to(warp.b_from_a, warp.confidence_a, px_a, px_b, max_distance_px, min_confidence)
-    a_of_b = _led_to(warp.a_from_b, warp.confidence_b, px_b, px_a, max_distance_px, min_confidence)
+    b_of_a = _nearest_target(warp.b_from_a, warp.confidence_a, px_a, px_b, max_distance_px, min_confidence)
+    a_of_b = _nearest_target(warp.a_from_b, warp.confidence_b, px_b, px_a, max_distance_px, min_confidence)
     rows = np.flatnonzero(b_of_a >= 0)
     rows = rows[a_of_b[b_of_a[rows]] == rows]
     return np.column_stack([rows, b_of_a[rows]]).astype(np.uint32)
@@ -133,17 +133,17 @@ def match_keypoints(
 _: type[PairMatcher] = DedodeRomaMatcher
 
 
-def _led_to(
+def _nearest_target(
     flow: Array32, confidence: Array32, source: Array, target: Array, max_distance_px: float, min_confidence: float
 ) -> NDArray[np.intp]:
-    """For each source point (n, 2) the row of the target point that the flow leads to, -1 where none."""
+    """For each source point (n, 2) the row of the target point at its warped position, -1 where there is none."""
     if not len(source) or not len(target):
         return np.full(len(source), -1, np.intp)
     h, w = confidence.shape
     inside = ((source >= 0) & (source < [w, h])).all(axis=1)
     at = np.stack([source[:, 1], source[:, 0]]) - 0.5
-    there = np.stack([map_coordinates(flow[..., k], at, order=1, mode="nearest") for k in (0, 1)], axis=1)
-    sure = map_coordinates(confidence, at, order=0, mode="nearest") >= min_confidence
-    good = inside & sure & np.isfinite(there).all(axis=1)
-    apart, index = cKDTree(target).query(np.where(good[:, None], there, 0.0))
+    warped = np.stack([map_coordinates(flow[..., k], at, order=1, mode="nearest") for k in (0, 1)], axis=1)
+    confident = map_coordinates(confidence, at, order=0, mode="nearest") >= min_confidence
+    good = inside & confident & np.isfinite(warped).all(axis=1)
+    apart, index = cKDTree(target).query(np.where(good[:, None], warped, 0.0))
     return np.where(good & (apart <= max_distance_px), index, -1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's filter of photo pairs that only look alike: a network that has seen many such pairs.
+"""The paper's filter of look-alike photo pairs: a learned classifier.
 
 Cai et al., Doppelgangers: Learning to Disambiguate Images of Similar Structures, ICCV 2023.
 """
@@ -21,21 +21,21 @@ from skymoor.reconstruct.protocol import PairFilter, ViewGraph
 from skymoor.types import Array, Array32, Image
 
 MULTIPLE = 8  # of the sides of a reduced photo
-WARP_PX = 20.0  # what the affinity between two photos may leave
+WARP_PX = 20.0  # inlier threshold of the similarity between two photos
 
 
 @dataclass(frozen=True)
 class DoppelgangerClassifier:
-    """Keeps the pairs that the network takes for two photos of one place.
+    """Keeps the pairs that the network classifies as two photos of one place.
 
-    What could not be verified without the trained weights: that the published file has the names of tensors expected
-    here, holds nothing but numbers beside them, and what the network reaches. It has been trained with all matches of
-    LoFTR and their confidences. Here it gets the matches of the view graph, which have passed the geometric test
-    already and have no confidence: it is taken for 1. Denser matchers come closer to what it knows than SIFT.
+    Not verified without the trained weights: that the published file has the tensor names expected here and contains
+    tensors only, and the accuracy of the network. It was trained with all matches of LoFTR and their confidences. Here
+    its input are the verified matches of the view graph, with confidence 1. Denser matchers are closer to the training
+    data than SIFT.
 
     Attributes:
-        weights: path of doppelgangers_classifier_loftr.pt; empty for where `skymoor weights fetch doppelgangers` goes,
-            where it is unpacked by hand.
+        weights: path of doppelgangers_classifier_loftr.pt; empty for the folder of
+            `skymoor weights fetch doppelgangers`, where it must be unpacked by hand.
         device: "auto", "cpu" or "cuda".
         min_probability: of showing the same place, for a pair to be kept.
         side_px: long side to which photos are reduced; the network's own is 1024.
@@ -54,11 +54,11 @@ class DoppelgangerClassifier:
 
     @property
     def rounds(self) -> int:
-        """Once: it says the same of the same pair."""
+        """One: the result for a pair does not depend on the reconstruction."""
         return 1
 
     def ready(self) -> tuple[Path, ...]:
-        """The file that will be read; see `__call__` for what is raised where it is missing."""
+        """The file that will be read; raises as `__call__` where it is missing."""
         require("torch", "nerf")
         return (find("doppelgangers", "doppelgangers_classifier_loftr.pt", self.weights),)
 
@@ -73,7 +73,7 @@ class DoppelgangerClassifier:
         return [k for k, probability in enumerate(probabilities) if probability >= self.min_probability]
 
     def probabilities(self, graph: ViewGraph) -> Array:
-        """Of showing the same place, (n pairs,); errors as of a call."""
+        """Probability (n pairs,) of showing the same place; raises as `__call__`."""
         device = torch_device(self.device)
         import torch
 
@@ -85,46 +85,46 @@ class DoppelgangerClassifier:
         def photo(index: int) -> tuple[Image, Array]:
             return _reduced(graph.photos.read(graph.photos.names[index]), self.side_px)
 
-        found = []
+        probabilities = []
         for (i, j), matches in zip(graph.pairs, graph.matches, strict=True):
             layers = pair_layers(photo(i), photo(j), matches, self.side_px)
             with torch.inference_mode():
                 scores = network(torch.from_numpy(layers)[None].to(device))
-            found.append(float(torch.softmax(scores[0].float().cpu(), dim=0)[1]))
-        return np.array(found)
+            probabilities.append(float(torch.softmax(scores[0].float().cpu(), dim=0)[1]))
+        return np.array(probabilities)
 
 
 _: type[PairFilter] = DoppelgangerClassifier
 
 
 def pair_layers(first: tuple[Image, Array], second: tuple[Image, Array], matches: Array, side_px: int) -> Array32:
-    """What the network looks at, (10, side_px, side_px).
+    """Input of the network, (10, side_px, side_px).
 
     Args:
-        first, second: reduced photos (h, w, 3), and by how much (2,) pixels of the whole photo are multiplied.
+        first, second: reduced photos (h, w, 3), and their scale (2,) with respect to the whole photos.
         matches: (m, 4) pixels of the whole photos.
         side_px: the reduced photos' long side.
 
     Returns:
-        where the matches are in the first photo, with their confidence, and again those that fit an epipolar geometry;
-        the same of the second; the second photo; and the first, laid on the second. Colours are blue, green, red. The
-        first photo and its matches are laid by the similarity that most matches agree with, if there is one.
+        masks of the matches in the first photo, all and verified; the same of the second; the second photo; and the
+        first one warped to the second. Colours are blue, green, red. The first photo and its matches are warped by the
+        similarity with most inliers, if there is one.
     """
     px_a, px_b = matches[:, :2] * first[1], matches[:, 2:] * second[1]
-    to_b = None
+    estimated = None
     if len(matches) >= 3:
-        to_b, _ = cv2.estimateAffinePartial2D(px_a, px_b, method=cv2.RANSAC, ransacReprojThreshold=WARP_PX)
-    lay = np.eye(2, 3) if to_b is None else np.asarray(to_b, np.float64)
+        estimated, _ = cv2.estimateAffinePartial2D(px_a, px_b, method=cv2.RANSAC, ransacReprojThreshold=WARP_PX)
+    b_from_a = np.eye(2, 3) if estimated is None else np.asarray(estimated, np.float64)
     layers = np.zeros((10, side_px, side_px), np.float32)
-    dots_a, dots_b = (_dots(px, side_px) for px in (px_a @ lay[:, :2].T + lay[:, 2], px_b))
-    # The matches of a view graph are those that fit: both kinds are the same.
+    dots_a, dots_b = (_dots(px, side_px) for px in (px_a @ b_from_a[:, :2].T + b_from_a[:, 2], px_b))
+    # The matches of a view graph are verified: both kinds are the same.
     layers[:2], layers[2:4] = dots_a, dots_b
     # OpenCV's centre of the first pixel is (0, 0).
-    half = lay[:, :2] @ [0.5, 0.5] - 0.5
-    laid = cv2.warpAffine(first[0], lay + np.column_stack([np.zeros((2, 2)), half]), (side_px, side_px))
+    half = b_from_a[:, :2] @ [0.5, 0.5] - 0.5
+    warped = cv2.warpAffine(first[0], b_from_a + np.column_stack([np.zeros((2, 2)), half]), (side_px, side_px))
     h, w = second[0].shape[:2]
     layers[4:7, :h, :w] = np.moveaxis(second[0][..., ::-1], -1, 0) / np.float32(255)
-    layers[7:] = np.moveaxis(laid[..., ::-1], -1, 0) / np.float32(255)
+    layers[7:] = np.moveaxis(warped[..., ::-1], -1, 0) / np.float32(255)
     return layers
 
 
@@ -137,7 +137,7 @@ def _dots(px: Array, side_px: int) -> Array32:
 
 
 def _reduced(image: Image, side_px: int) -> tuple[Image, Array]:
-    """A photo with this long side, both sides multiples of eight; and by how much its pixels are multiplied."""
+    """A photo with this long side, both sides multiples of eight; and its scale (2,)."""
     h, w = image.shape[:2]
     ratio = side_px / max(h, w)
     size = [max(MULTIPLE, round(side * ratio) // MULTIPLE * MULTIPLE) for side in (w, h)]

@@ -13,7 +13,7 @@ from skymoor.engines.weights import load_into, load_state_dict
 
 
 class Classifier(nn.Module):
-    """Three stages of two residual blocks on ten layers; two scores: another place, the same place."""
+    """Three stages of two residual blocks on ten layers; two scores: different places, the same place."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -33,7 +33,7 @@ class Classifier(nn.Module):
 
 
 class _Block(nn.Module):
-    """He et al., Deep residual learning, CVPR 2016: two convolutions and a way past them."""
+    """He et al., Deep residual learning, CVPR 2016: two convolutions with a shortcut."""
 
     def __init__(self, before: int, after: int, stride: int) -> None:
         super().__init__()
@@ -53,7 +53,7 @@ class _Block(nn.Module):
 def load_classifier(weights: Path, device: str) -> Classifier:
     """The network with its published weights; raises `InputError` where they are not those of this network."""
     network = Classifier()
-    # It has been saved from several GPUs, which puts a word before each name.
-    spread = all(name.startswith("module.") for name in load_state_dict(weights, part="dec"))
-    load_into(nn.ModuleDict({"module": network}) if spread else network, weights, part="dec")
+    # Saved from several GPUs, which prefixes each name.
+    prefixed = all(name.startswith("module.") for name in load_state_dict(weights, part="dec"))
+    load_into(nn.ModuleDict({"module": network}) if prefixed else network, weights, part="dec")
     return network.to(device).eval()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well photos without metadata fix their own focal length, and what follows when something else fixes it better.
+"""Uncertainty of the self-calibrated focal length, and its correction by another source.
 
-A block of photos from one height over nearly flat ground explains itself as well with a longer lens from higher up.
-The formal covariance of the bundle adjustment does not show it, because residuals are not independent: so the focal
-length is also held at other values while everything else is adjusted, and the cost tells which of them are as good
+A block of photos from one height over nearly flat ground fits as well with a longer focal length from higher up. The
+formal covariance of the bundle adjustment does not show it, because residuals are not independent: so the focal length
+is also fixed at other values while everything else is adjusted, and the cost shows which of them fit about as well
 (a profile likelihood). Measured in docs/decisions/0004.
 """
 
@@ -21,11 +21,11 @@ from skymoor.types import Calibration, Component
 
 PROFILE_RATIOS = (0.7, 0.85, 0.95, 0.99, 1.01, 1.05, 1.18, 1.4)
 AS_GOOD = 0.1
-"""Relative growth of the squared residuals below which two calibrations explain the photos about as well. Far above
-what independent noise would allow, because lens models are wrong by more: on real nadir blocks the focal length was
+"""Relative growth of the squared residuals below which two calibrations fit the photos about as well. It is far above
+that of independent noise, because camera models have systematic errors: on real nadir blocks the focal length was
 off by 4 and 20 percent where the cost had grown by 8 and 5 percent."""
 UNCERTAIN_RATIO = 0.05
-"""Heights scale with the focal length: a wider interval than this makes heights a matter of luck."""
+"""Heights scale with the focal length: with a wider interval, heights are not used."""
 
 
 def adjust(
@@ -39,7 +39,7 @@ def adjust(
 ) -> float:
     """Bundle adjustment in place; returns the root mean square reprojection error in pixels.
 
-    `robust` lets observations that do not fit have little weight (Cauchy's loss at one pixel).
+    `robust` reduces the weight of outliers (Cauchy's loss at one pixel).
     """
     options = pycolmap.BundleAdjustmentOptions(
         refine_focal_length=focal,
@@ -47,13 +47,13 @@ def adjust(
         refine_extra_params=extra,
         print_summary=False,
     )
-    # Threads add up in the order in which they finish: the same photos would give other last digits each time.
+    # Several threads sum in any order: results would differ in the last digits from run to run.
     options.ceres.solver_options.num_threads = 1
     options.ceres.solver_options.max_num_iterations = max_iterations
     options.ceres.solver_options.function_tolerance = 1e-6
     if robust:
         options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    # The adjuster itself, not pycolmap.bundle_adjustment: that one writes on stderr whatever the log level is.
+    # The adjuster itself, not pycolmap.bundle_adjustment, which writes to stderr at any log level.
     pycolmap.create_default_bundle_adjuster(options, _all_images(reconstruction), reconstruction).solve()
     reconstruction.update_point_3d_errors()
     return rms_px(reconstruction)
@@ -67,7 +67,7 @@ def rms_px(reconstruction: pycolmap.Reconstruction) -> float:
 
 
 def calibrate(reconstruction: pycolmap.Reconstruction, *, ratios: Sequence[float] = PROFILE_RATIOS) -> Calibration:
-    """Profile the focal length of a finished reconstruction; the reconstruction is left as it was."""
+    """Profile the focal length of a finished reconstruction, which is not changed."""
     cameras = {reconstruction.image(i).camera_id for i in reconstruction.reg_image_ids()}
     focal_px = float(np.median([reconstruction.camera(c).mean_focal_length() for c in cameras]))
     base = thin(reconstruction)
@@ -90,7 +90,7 @@ def calibrate(reconstruction: pycolmap.Reconstruction, *, ratios: Sequence[float
 
 
 def _crossing(excess: dict[float, float], edge: float, direction: int) -> float:
-    """Where the cost passes `AS_GOOD` beyond the last good ratio, by a parabola's law in between."""
+    """The ratio beyond the last good one at which the cost reaches `AS_GOOD`, by quadratic interpolation."""
     beyond = sorted((r for r in excess if (r - edge) * direction > 0), key=lambda r: abs(r - edge))
     if not beyond:
         return edge
@@ -100,7 +100,7 @@ def _crossing(excess: dict[float, float], edge: float, direction: int) -> float:
 
 
 def scale_focal(reconstruction: pycolmap.Reconstruction, ratio: float) -> None:
-    """Multiply the focal lengths, and the depths with them: the start of the adjustment that absorbs the change."""
+    """Multiply the focal lengths; a following adjustment adapts the rest."""
     for camera in reconstruction.cameras.values():
         for index in camera.focal_length_idxs():
             params = camera.params
@@ -109,7 +109,7 @@ def scale_focal(reconstruction: pycolmap.Reconstruction, ratio: float) -> None:
 
 
 def thin(reconstruction: pycolmap.Reconstruction, max_points: int = 2500) -> pycolmap.Reconstruction:
-    """A copy with only the longest tracks: enough to judge the calibration, several times faster."""
+    """A copy with only the longest tracks: enough for the calibration, several times faster."""
     copy = pycolmap.Reconstruction(reconstruction)
     lengths = {k: p.track.length() for k, p in copy.points3D.items()}
     for k in sorted(lengths, key=lambda k: -lengths[k])[max_points:]:
@@ -118,18 +118,18 @@ def thin(reconstruction: pycolmap.Reconstruction, max_points: int = 2500) -> pyc
 
 
 def focal_sigma(reconstruction: pycolmap.Reconstruction) -> float:
-    """Relative standard deviation of the focal length by the adjustment's own covariance (optimistic), NaN unknown."""
+    """Relative standard deviation of the focal length by the formal covariance (optimistic), NaN where unknown."""
     sigmas = list(focal_sigmas(reconstruction).values())
     return float(np.median(sigmas)) if sigmas else float("nan")
 
 
 def focal_sigmas(reconstruction: pycolmap.Reconstruction) -> dict[int, float]:
-    """The same for each camera, by its id; without those of which the adjustment cannot say it."""
+    """The same for each camera, by its id; without cameras of unknown covariance."""
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
     options.ceres.solver_options.num_threads = 1
     adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, _all_images(reconstruction), reconstruction)
-    wanted = pycolmap.BACovarianceOptions(params=pycolmap.BACovarianceOptionsParams.ALL)
-    covariance = pycolmap.estimate_ba_covariance(wanted, reconstruction, adjuster)
+    requested = pycolmap.BACovarianceOptions(params=pycolmap.BACovarianceOptionsParams.ALL)
+    covariance = pycolmap.estimate_ba_covariance(requested, reconstruction, adjuster)
     if covariance is None:
         return {}
     noise_px, sigmas = rms_px(reconstruction), {}
@@ -141,7 +141,7 @@ def focal_sigmas(reconstruction: pycolmap.Reconstruction) -> dict[int, float]:
 
 
 def _all_images(reconstruction: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:
-    """Everything is adjusted; two cameras hold the frame."""
+    """All images are adjusted; two cameras fix the frame."""
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in reconstruction.reg_image_ids():
         config.add_image(image_id)
@@ -150,10 +150,10 @@ def _all_images(reconstruction: pycolmap.Reconstruction) -> pycolmap.BundleAdjus
 
 
 def with_focal(component: Component, ratio: float, sigma: float) -> Component:
-    """The component adjusted again with its focal lengths held at `ratio` times their present value.
+    """The component adjusted again with its focal lengths fixed at `ratio` times their present value.
 
-    `sigma` is the relative standard deviation that they are then believed to have. Names, point order and colours
-    stay; the frame drifts with the adjustment, so orient the result anew.
+    `sigma` is their relative standard deviation afterwards. Names, point order and colours are kept; the frame changes
+    with the adjustment, so the result must be levelled again.
     """
     reconstruction = colmap_from_component(component)
     scale_focal(reconstruction, ratio)

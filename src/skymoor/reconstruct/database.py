@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photos, key points and matches into a COLMAP database, for the engines that find them."""
+"""Writing photos, key points and matches of engines to a COLMAP database."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RETRIEVAL_PX = 800
 def enter_photos(photos: Photos, database: Path, *, shared_camera: bool) -> None:
     """Cameras and images in the order of the photos.
 
-    Extraction would number them as its threads finish, and the mapping's result depends on the numbers.
+    Extraction would number them in any order of its threads, and the result of mapping depends on the numbers.
     """
     # RADIAL for a shared camera: a hundred photos determine a second term, a single photo does not.
     model = "RADIAL" if shared_camera else "SIMPLE_RADIAL"
@@ -43,9 +43,9 @@ def enter_photos(photos: Photos, database: Path, *, shared_camera: bool) -> None
 
 
 def write_photos(photos: Photos, folder: Path, *, grey: bool) -> None:
-    """Photos as files for COLMAP, which reads focal lengths out of EXIF when it can; these have none, and are quick.
+    """Write photos as files for COLMAP, without EXIF, from which it would read focal lengths.
 
-    Without `grey` they are of colour, under names for grey ones: COLMAP looks at what is in the file.
+    Without `grey` they are colour files under the same names: COLMAP detects the format by content.
     """
     for index, (name, size) in enumerate(zip(photos.names, photos.sizes, strict=True)):
         path = folder / colmap_name(index, size)
@@ -64,7 +64,7 @@ def extract(
     shared_camera: bool,
     report: Callable[[int], None],
 ) -> None:
-    """Key points and descriptors by COLMAP, of photos that `write_photos` and `enter_photos` were given."""
+    """Key points and descriptors by COLMAP, of photos written by `write_photos` and `enter_photos`."""
     mode = pycolmap.CameraMode.SINGLE if shared_camera else pycolmap.CameraMode.PER_IMAGE
     reader = pycolmap.ImageReaderOptions(camera_model="RADIAL" if shared_camera else "SIMPLE_RADIAL")
     device = pycolmap.Device.auto if options.use_gpu else pycolmap.Device.cpu
@@ -88,7 +88,7 @@ def match(
     seed: int,
     report: Callable[[int], None],
 ) -> None:
-    """Match and verify pairs by COLMAP, `block_pairs` at a time; `report` is told how many are done."""
+    """Match and verify pairs by COLMAP, `block_pairs` at a time; `report` is called with the number done."""
     names = [colmap_name(i, size) for i, size in enumerate(photos.sizes)]
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
@@ -118,16 +118,16 @@ def write_verified(
     pixel_px: float,
     seed: int,
 ) -> None:
-    """Key points and matches of another engine, and of the matches those that fit an epipolar geometry.
+    """Write key points and matches of another engine, and verify the matches by epipolar geometry.
 
     Args:
-        photos, database: entered.
-        folder: for a file.
+        photos, database: after `enter_photos`.
+        folder: for a temporary file.
         keypoints: (n, 2) pixels of each photo.
         matched: photo numbers and rows (m, 2) of their key points.
-        min_matches: pairs with fewer are not worth verifying.
-        pixel_px: how large a pixel is that key points were found in, where photos were reduced.
-        seed: of the consensus.
+        min_matches: pairs with fewer are not verified.
+        pixel_px: size of a detector pixel in photo pixels, where photos were reduced.
+        seed: of RANSAC.
     """
     names = [colmap_name(k, size) for k, size in enumerate(photos.sizes)]
     pairs = []
@@ -141,7 +141,7 @@ def write_verified(
                 pairs.append(f"{names[i]} {names[j]}\n")
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
-    # Key points are as good as the pixels that they were found in.
+    # Key points are as accurate as the pixels of the reduced photo.
     verification.ransac.max_error = max(verification.ransac.max_error, 2 * pixel_px)
     if pairs:
         (folder / "pairs.txt").write_text("".join(pairs))
@@ -149,12 +149,12 @@ def write_verified(
 
 
 def coarsest_px(photos: Photos, side_px: int) -> float:
-    """How many pixels of the largest photo one is when its long side is reduced to `side_px`."""
+    """Photo pixels per pixel of the largest photo reduced to a long side of `side_px`."""
     return max(1.0, max((max(size) for size in photos.sizes), default=0) / side_px)
 
 
 def likely_pairs(photos: Photos, *, exhaustive_below: int, neighbours: int) -> list[tuple[int, int]]:
-    """All pairs of a small set; of a larger one those whose largest SIFT features are alike."""
+    """All pairs of a small set; of a larger one those with similar large SIFT features."""
     if len(photos) <= exhaustive_below:
         return exhaustive_pairs(len(photos))
     return preemptive_pairs([_largest(photos.read(name)) for name in photos.names], neighbours=neighbours)
@@ -169,18 +169,18 @@ def stored(db: pycolmap.Database, name: str) -> pycolmap.Image:
 
 
 def threads() -> int:
-    """For COLMAP: as many as there are processors."""
+    """Threads for COLMAP: the number of processors."""
     return os.cpu_count() or 1
 
 
 def blocks(items: Sequence[T], size: int) -> Iterator[Sequence[T]]:
-    """The items in runs of `size`, so that progress can be told between them."""
+    """The items in blocks of `size`, between which progress is reported."""
     for start in range(0, len(items), size):
         yield items[start : start + size]
 
 
 def _new_camera(db: pycolmap.Database, model: str, size: tuple[int, int]) -> tuple[int, int]:
-    """Numbers of a new camera with COLMAP's usual first guess, and of the rig that holds nothing else."""
+    """Ids of a new camera with COLMAP's default intrinsics, and of the rig of this camera alone."""
     camera = pycolmap.Camera.create_from_model_name(0, model, 1.2 * max(size), *size)
     camera.camera_id = db.write_camera(camera)
     rig = pycolmap.Rig()

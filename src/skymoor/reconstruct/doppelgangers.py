@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photos of two places that look alike, told apart by what they ought to share and do not.
+"""Detection of similar scenes mistaken for one (doppelgangers), by missing common observations.
 
-A reconstruction that has laid one building on its twin fits its own observations, and no error in it is large. But
-cameras that now stand side by side and look the same way see few things in common: each sees the cars, trees and
-neighbours of its own place. That missing correspondences tell more than those that are there is the idea of Zach,
-Irschara and Bischof (CVPR 2008); to look for them in the finished, possibly folded reconstruction, and to split its
-cameras where they contradict one another, that of Heinly, Dunn and Frahm (ECCV 2014).
+A reconstruction that has merged two similar buildings fits its observations, and no residual in it is large. But
+cameras that are side by side in it and have the same direction share few observations: each observes the cars, trees
+and neighbours of its own scene. Missing correspondences as evidence are the idea of Zach, Irschara and Bischof (CVPR
+2008); their detection in a finished, possibly folded reconstruction, and the split of its cameras, that of Heinly, Dunn
+and Frahm (ECCV 2014).
 
-Those compare image segments. Here tracks alone are counted: of the points that one camera observes, another that looks
-at them from nearly the same direction and distance ought to observe a share, and how large a share is usual the set
-says itself, by each camera's best partner. Cameras are then joined from the strongest pair downwards, but never two
-groups whose members ought to share far more than they do.
+Those compare image segments. Here only tracks are counted: of the points that one camera observes, another one at
+nearly the same direction and distance should observe a share; the usual share is estimated from each camera's best
+partner in the set. Cameras are then grouped from the strongest pair downwards, but never two groups that share far
+fewer points than expected.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from skymoor.types import Array, Component, Mask
 
 @dataclass(frozen=True)
 class ConflictFilter:
-    """Drops the pairs between groups of photos that a first reconstruction has laid on one another wrongly.
+    """Drops the pairs between groups of photos that a first reconstruction has wrongly merged.
 
     Attributes:
-        max_angle_deg: between two cameras' rays to a point that both ought to observe.
-        max_scale_ratio: between the sizes at which they see it.
+        max_angle_deg: between two cameras' rays to a point that both should observe.
+        max_scale_ratio: between the image scales at the point.
         border_ratio: of the width, along the border of a photo where nothing is expected.
-        min_expected: fewer expected points do not contradict anything.
-        min_overlap: nor do groups of which less is expected to be shared than this part of what the smaller one
-            shares within itself: corners of buildings hide what a camera beyond them is expected to see.
-        conflict_ratio: two groups contradict each other if they share less than this part of what is usual.
-        rounds: of looking at the reconstruction and having it made again; another one shows other contradictions.
+        min_expected: pairs with fewer expected points are not tested.
+        min_overlap: nor are groups whose expected common points are a smaller share than this of those within the
+            smaller group: corners of buildings hide points that a camera beyond them should see.
+        conflict_ratio: two groups contradict each other if they share less than this part of the usual share.
+        rounds: of testing and mapping again; a new reconstruction may show further contradictions.
     """
 
     max_angle_deg: float = 20.0
@@ -53,14 +53,14 @@ class ConflictFilter:
         index = {name: k for k, name in enumerate(graph.photos.names)}
         forbidden = np.zeros((len(index), len(index)), dtype=bool)
         for component in graph.components:
-            who = np.array([index[camera.image] for camera in component.cameras])
+            photo_of = np.array([index[camera.image] for camera in component.cameras])
             for first, second in self.contradictions(component):
-                forbidden[np.ix_(who[first], who[second])] = True
+                forbidden[np.ix_(photo_of[first], photo_of[second])] = True
         forbidden |= forbidden.T
         return [k for k, (i, j) in enumerate(graph.pairs) if not forbidden[i, j]]
 
     def contradictions(self, component: Component) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """Pairs of groups of cameras, by their numbers, that cannot all stand where the component says."""
+        """Pairs of groups of cameras, by their numbers, whose positions in the component contradict each other."""
         expected, shared = self.shared_points(component)
         enough = expected >= self.min_expected
         if not enough.any():
@@ -69,28 +69,28 @@ class ConflictFilter:
         usual = float(np.median(ratio.max(axis=1)[enough.any(axis=1)]))
         groups, expected, shared = _joined(component, expected, shared, self.min_expected, self.conflict_ratio * usual)
         within = np.diag(expected)
-        due = np.maximum(self.min_overlap * np.minimum(within[:, None], within), self.min_expected)
-        conflict = (expected >= due) & (shared < self.conflict_ratio * usual * expected)
+        min_common = np.maximum(self.min_overlap * np.minimum(within[:, None], within), self.min_expected)
+        conflict = (expected >= min_common) & (shared < self.conflict_ratio * usual * expected)
         for a, b in np.argwhere(np.triu(conflict, 1)):
             yield groups[a], groups[b]
 
     def shared_points(self, component: Component) -> tuple[Array, Array]:
-        """For each pair of cameras (n, n): points that both ought to observe, and how many of those both do."""
+        """For each pair of cameras (n, n): points that both should observe, and how many of those both do."""
         n = len(component.cameras)
         observes = np.zeros((n, len(component.points)), dtype=bool)
         observes[component.obs_camera, component.obs_point] = True
         in_view = np.array([self._in_view(component, k) for k in range(n)]).reshape(observes.shape)
-        gaze = component.points - component.centres[:, None]
-        distance = np.linalg.norm(gaze, axis=2)
-        gaze = gaze / np.maximum(distance, 1e-12)[..., None]
+        rays = component.points - component.centres[:, None]
+        distance = np.linalg.norm(rays, axis=2)
+        rays = rays / np.maximum(distance, 1e-12)[..., None]
         size = np.array([camera.intrinsics.fx for camera in component.cameras])[:, None] / np.maximum(distance, 1e-12)
         expected, shared = np.zeros((n, n)), np.zeros((n, n))
         for i in range(n):
-            mine = np.flatnonzero(observes[i])
-            cosine = np.einsum("npk,pk->np", gaze[:, mine], gaze[i, mine])
-            alike = np.abs(np.log(size[:, mine] / size[i, mine])) < np.log(self.max_scale_ratio)
-            ought = in_view[:, mine] & alike & (cosine > np.cos(np.radians(self.max_angle_deg)))
-            expected[i], shared[i] = ought.sum(axis=1), (ought & observes[:, mine]).sum(axis=1)
+            own = np.flatnonzero(observes[i])
+            cosine = np.einsum("npk,pk->np", rays[:, own], rays[i, own])
+            same_scale = np.abs(np.log(size[:, own] / size[i, own])) < np.log(self.max_scale_ratio)
+            visible = in_view[:, own] & same_scale & (cosine > np.cos(np.radians(self.max_angle_deg)))
+            expected[i], shared[i] = visible.sum(axis=1), (visible & observes[:, own]).sum(axis=1)
         expected, shared = expected + expected.T, shared + shared.T
         np.fill_diagonal(expected, 0)
         np.fill_diagonal(shared, 0)
@@ -130,7 +130,7 @@ def _joined(
 
 
 def _common_tracks(component: Component) -> Array:
-    """Number (n, n) of points that two cameras both observe, wherever they stand."""
-    sees = np.zeros((len(component.cameras), len(component.points)), np.float32)
-    sees[component.obs_camera, component.obs_point] = 1
-    return np.asarray(sees @ sees.T, dtype=np.float64)
+    """Number (n, n) of points that two cameras both observe, regardless of their poses."""
+    observes = np.zeros((len(component.cameras), len(component.points)), np.float32)
+    observes[component.obs_camera, component.obs_point] = 1
+    return np.asarray(observes @ observes.T, dtype=np.float64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The verified matches of a COLMAP database as a view graph, and back: pairs that are not believed leave it."""
+"""The verified matches of a COLMAP database as a view graph, and removal of filtered pairs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def view_graph(database: pycolmap.Database, photos: Photos, components: tuple[Co
 def drop_pairs(
     database: pycolmap.Database, photos: Photos, components: tuple[Component, ...], pair_filter: PairFilter
 ) -> int:
-    """Delete the verified matches of the pairs that the filter does not keep; how many pairs those were."""
+    """Delete the verified matches of the pairs that the filter does not keep; returns the number of these pairs."""
     graph = view_graph(database, photos, components)
     image_of = {photo: image_id for image_id, photo in _photo_of(database, photos).items()}
     kept = set(pair_filter(graph))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photos without metadata to reconstructions, every one of them kept (paper, section 3.1, structure from motion)."""
+"""Structure from motion of photos without metadata; all components are kept (paper, section 3.1)."""
 
 from __future__ import annotations
 
@@ -35,16 +35,17 @@ from skymoor.types import Component, Photos, Progress, no_progress
 
 @dataclass(frozen=True)
 class ReconstructOptions:
-    """How photos become components.
+    """Options of structure from motion.
 
     Attributes:
         matcher: the engine that fills the database with verified matches.
         min_cameras: smaller components are dropped; the paper keeps those of nine.
-        refine_principal_point: at the end, where the photos share one camera and fix its focal length.
-        mixed_lenses: photos of one size may come from several cameras, and which photos share one is found out. The
-            matcher should give each photo a camera of its own then.
-        lens: when photos share a lens.
-        min_inliers: correspondences with the model that a photo of known lens needs to join it, where lenses are mixed.
+        refine_principal_point: at the end, where the photos share one camera and determine its focal length.
+        mixed_lenses: photos of one size may come from several cameras; the groups with shared intrinsics are
+            estimated. The matcher should give each photo its own camera then.
+        intrinsics: when photos share intrinsics.
+        min_inliers: correspondences with the model that a photo of known intrinsics needs to be registered, with
+            `mixed_lenses`.
         pair_filter: the engine that finds pairs of photos of different places that look alike; None keeps all pairs.
     """
 
@@ -52,17 +53,17 @@ class ReconstructOptions:
     min_cameras: int = 3
     refine_principal_point: bool = True
     mixed_lenses: bool = False
-    lens: IntrinsicsOptions = field(default_factory=IntrinsicsOptions)
+    intrinsics: IntrinsicsOptions = field(default_factory=IntrinsicsOptions)
     min_inliers: int = 15
     pair_filter: PairFilter | None = None
 
     def ready(self) -> tuple[Path, ...]:
-        """The files that the engines will read. Raises what they raise."""
+        """The files that the engines will read. Raises as they do."""
         return files_of(self.matcher, self.pair_filter)
 
 
 def ground_options() -> ReconstructOptions:
-    """For photos from the ground, by several people and by security cameras."""
+    """Options for ground photos of several phones and security cameras."""
     matcher = SiftMatcher(shared_camera=False, exhaustive_below=60)
     return ReconstructOptions(matcher, mixed_lenses=True, pair_filter=ConflictFilter())
 
@@ -76,7 +77,7 @@ def reconstruct(
 ) -> list[Component]:
     """Structure from motion: all components, largest first, each in a frame of its own.
 
-    Returns an empty list where no pair of photos has enough in common. Raises `InputError` when there is no room for
+    Returns an empty list where no pair of photos has enough matches. Raises `InputError` when there is no space for
     temporary files.
     """
     options = options or ReconstructOptions()
@@ -101,18 +102,18 @@ def reconstruct(
 
 @contextmanager
 def _temporary_folder() -> Iterator[Path]:
-    """For COLMAP's files: grey copies of all photos, and the database."""
-    mend = "make room there for temporary files, or set TMPDIR to another folder"
+    """A folder for COLMAP's files: grey copies of all photos, and the database."""
+    remedy = "make room there for temporary files, or set TMPDIR to another folder"
     try:
         with TemporaryDirectory(prefix="skymoor-") as name:
             try:
                 yield Path(name)
-            except RuntimeError as error:  # COLMAP has no error of its own for a full disk, and not always SQLite's
+            except RuntimeError as error:  # COLMAP has no error for a full disk, and not always SQLite's
                 if "disk is full" in str(error) or disk_usage(name).free < 1 << 20:
-                    raise InputError(f"{Path(name).parent}: no space left on device; {mend}") from error
+                    raise InputError(f"{Path(name).parent}: no space left on device; {remedy}") from error
                 raise
     except OSError as error:
-        raise InputError(f"{error.filename or 'temporary files'}: {error.strerror or error}; {mend}") from error
+        raise InputError(f"{error.filename or 'temporary files'}: {error.strerror or error}; {remedy}") from error
 
 
 def _improved(
@@ -123,34 +124,34 @@ def _improved(
     options: ReconstructOptions,
     seed: int,
 ) -> list[pycolmap.Reconstruction]:
-    """Mapped again, once with the lenses that were found, and as long as pairs of look-alikes come to light."""
+    """Map again, once with the shared intrinsics, and as long as the filter drops look-alike pairs."""
     names = {colmap_name(i, size): name for i, (name, size) in enumerate(zip(photos.names, photos.sizes, strict=True))}
     pair_filter = options.pair_filter
     rounds = 0 if pair_filter is None else pair_filter.rounds
     for round_ in range(rounds + 2):
         if options.mixed_lenses:
-            models = [group_intrinsics(model, options.lens) for model in models]
-        certain = _certain(models, options)
+            models = [group_intrinsics(model, options.intrinsics) for model in models]
+        reliable = _reliable(models, options)
         mapping, changed = _mapping_options(options, seed), False
         with pycolmap.Database.open(database) as db:
             if pair_filter is not None and round_ < rounds:
-                components = tuple(component_from_colmap(model, names) for model in certain)
+                components = tuple(component_from_colmap(model, names) for model in reliable)
                 changed = drop_pairs(db, photos, components, pair_filter) > 0
             if options.mixed_lenses:
-                mapping.constant_cameras = write_intrinsics(db, shared_intrinsics(models, options.lens))
+                mapping.constant_cameras = write_intrinsics(db, shared_intrinsics(models, options.intrinsics))
                 mapping.mapper.abs_pose_min_num_inliers = options.min_inliers
                 changed = changed or round_ == 0
         if not changed:
             break
         models = _map(database, folder, mapping, lambda: None)
-    return certain
+    return reliable
 
 
-def _certain(models: list[pycolmap.Reconstruction], options: ReconstructOptions) -> list[pycolmap.Reconstruction]:
+def _reliable(models: list[pycolmap.Reconstruction], options: ReconstructOptions) -> list[pycolmap.Reconstruction]:
     if not options.mixed_lenses:
         return models
-    certain = [without_doubtful(model, options.lens) for model in models]
-    return _worth_keeping([model for model in certain if model.num_reg_images() >= options.min_cameras])
+    reliable = [without_doubtful(model, options.intrinsics) for model in models]
+    return _distinct([model for model in reliable if model.num_reg_images() >= options.min_cameras])
 
 
 def _map(
@@ -158,18 +159,18 @@ def _map(
 ) -> list[pycolmap.Reconstruction]:
     models = pycolmap.incremental_mapping(database, folder, folder, options, next_image_callback=report)
     possible = [without_impossible(model) for model in models.values()]
-    return _worth_keeping([model for model in possible if model.num_reg_images() >= options.min_model_size])
+    return _distinct([model for model in possible if model.num_reg_images() >= options.min_model_size])
 
 
-def _worth_keeping(models: list[pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:
+def _distinct(models: list[pycolmap.Reconstruction]) -> list[pycolmap.Reconstruction]:
     """Largest first, without those whose photos are all in larger ones: COLMAP lets models overlap."""
-    known: set[int] = set()
+    covered: set[int] = set()
     kept = []
     for model in sorted(models, key=lambda model: -model.num_reg_images()):
         images = set(model.reg_image_ids())
-        if not images <= known:
+        if not images <= covered:
             kept.append(model)
-        known |= images
+        covered |= images
     return kept
 
 
@@ -177,7 +178,7 @@ def _mapping_options(options: ReconstructOptions, seed: int) -> pycolmap.Increme
     mapping = pycolmap.IncrementalPipelineOptions(
         min_model_size=options.min_cameras,
         extract_colors=False,
-        # Several threads race for the first pair, and the winner decides the frame: not repeatable.
+        # With several threads the initial pair, and so the frame, is not reproducible.
         num_threads=1,
         random_seed=seed,
     )
@@ -192,7 +193,7 @@ def _finish(
     """Last adjustment, calibration report and colours."""
     adjust(model)
     calibration = calibrate(model)
-    # A principal point is one more thing that a weak block cannot tell: there it would trade against tilt and height.
+    # In a weak block the principal point is correlated with tilt and height.
     if calibration.shared_intrinsics and not calibration.uncertain and options.refine_principal_point:
         adjust(model, principal_point=True)
         calibration = calibrate(model)

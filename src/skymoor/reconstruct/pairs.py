@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which pairs of photos are worth matching.
+"""Selection of photo pairs to match.
 
 Exhaustive matching grows with the square of the number of photos. Large features are few and the most repeatable,
-so the number of mutual nearest neighbours among each photo's largest ones tells which photos overlap: preemptive
-matching (Wu, "Towards linear-time incremental structure from motion", 3DV 2013). No vocabulary, no order of flight.
+so the number of mutual nearest neighbours among each photo's largest ones indicates which photos overlap: preemptive
+matching (Wu, "Towards linear-time incremental structure from motion", 3DV 2013).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from skymoor.types import Array32, Progress, no_progress
 
-BLOCK_PHOTOS = 64  # compared with one photo in one matrix product: large enough for BLAS, and no more memory is taken
+BLOCK_PHOTOS = 64  # compared with one photo in one matrix product: large enough for BLAS, small enough for memory
 
 
 def exhaustive_pairs(n: int) -> list[tuple[int, int]]:
@@ -32,7 +32,7 @@ def preemptive_pairs(
     Args:
         descriptors: per photo (m, d), unit length, of its largest features only; a few hundred are enough.
         neighbours: how many partners a photo keeps.
-        min_mutual: fewer mutual nearest neighbours than this are chance.
+        min_mutual: pairs with fewer mutual nearest neighbours are ignored.
         progress: called per photo.
     """
     n = len(descriptors)

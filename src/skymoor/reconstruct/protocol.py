@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the reconstruction asks of engines: one that matches photos, and one that tells look-alikes apart."""
+"""Interfaces of the engines of the reconstruction: feature matcher and filter of look-alike pairs."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from skymoor.types import Array, Component, Photos, Progress
 
 
 class PairMatcher(Protocol):
-    """Finds what pairs of photos have in common.
+    """Feature matcher used by structure from motion.
 
     Fills the COLMAP database at `database` with one image per photo, named by `colmap_name`, its cameras,
-    key points and geometrically verified matches. It may use `folder` for files of its own.
+    key points and geometrically verified matches. It may use `folder` for temporary files.
     """
 
     def __call__(self, photos: Photos, database: Path, folder: Path, *, seed: int, progress: Progress) -> None:
@@ -23,10 +23,10 @@ class PairMatcher(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ViewGraph:
-    """Photos, the pairs of them that match, and what a first reconstruction has made of those.
+    """Photos, their matched pairs, and a first reconstruction from these.
 
     `pairs` are photo numbers (i, j); the matches of pair k are `matches[k]` (m, 4): u, v in photo i and u, v in photo
-    j. Each of `components` is in a frame of its own, names its cameras' images as `photos` does, and may be folded.
+    j. Each of `components` is in a frame of its own, has the image names of `photos`, and may be wrong (folded).
     """
 
     photos: Photos
@@ -36,9 +36,9 @@ class ViewGraph:
 
 
 class PairFilter(Protocol):
-    """Finds the pairs of photos that match although they show different places.
+    """Finds pairs of photos that match although they show different places.
 
-    `rounds` is how often it is worth asking: photos are mapped again after each answer that leaves out pairs.
+    `rounds` is the largest number of calls: photos are mapped again after each call that drops pairs.
     """
 
     @property

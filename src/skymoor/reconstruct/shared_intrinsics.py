@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which photos came through one lens, found out from the photos themselves.
+"""Shared intrinsics: which photos come from one camera, estimated from the photos themselves.
 
-A walk round a building is too weak to calibrate each photo by itself: near a flat facade a longer lens from farther
-away explains a photo as well, and cameras end up metres off. The photos of one phone calibrate it together. But a
-folder of ground photos may hold several phones and security cameras, and says nothing about it. So every photo begins
-with a lens of its own; where many agree about theirs, one shared lens is tried for all that could have it, and a photo
-that it explains clearly worse gets its own back.
+Photos around a building do not determine the intrinsics of each photo: near a flat facade a longer focal length from
+farther away fits as well, and camera positions are wrong by metres. The photos of one phone determine its intrinsics
+together. But a folder of ground photos may mix several phones and security cameras, without metadata. So every photo
+starts with its own intrinsics; where many agree, shared intrinsics are tried for all photos that may have them, and a
+photo that fits clearly worse gets its own back.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from skymoor.engines.colmap import component_from_colmap, intrinsics_of
 from skymoor.reconstruct.calibration import adjust, focal_sigmas
 from skymoor.types import Array, Mask
 
-MAX_ERROR_PX, MIN_ANGLE_DEG = 4.0, 1.5  # of an observation, and of the rays to a point: COLMAP's own limits
+MAX_ERROR_PX, MIN_ANGLE_DEG = 4.0, 1.5  # of an observation, and between the rays to a point: COLMAP's limits
 
-COLMAP_FOCAL_WIDTHS = 0.1, 10.0  # within which COLMAP itself takes a lens for one
+COLMAP_FOCAL_WIDTHS = 0.1, 10.0  # of plausible intrinsics, by COLMAP
 
 
 @dataclass(frozen=True)
 class IntrinsicsOptions:
-    """When photos share a lens.
+    """When photos share intrinsics.
 
     Attributes:
-        alike_focal_ratio, alike_k: lenses of single photos that differ by less, relative in focal length and in the
-            first radial term, agree; the largest such crowd makes the first guess of a shared lens.
-        candidate_focal_ratio, candidate_k: photos whose own lens differs from that guess by less are given the shared
-            one for a trial: photos straight at a wall know little about their focal length.
-        worse_ratio: growth of a photo's reprojection error, without its worst tenth, by which it shows another lens.
-        min_photos: a crowd of fewer photos is chance.
-        min_focal_widths, max_focal_widths: focal lengths of real lenses, in widths of the photo's longer side.
-        max_distortion: of the first radial term of real lenses, either way.
+        alike_focal_ratio, alike_k: intrinsics of single photos that differ by less, relative in focal length and in the
+            first radial term, agree; the largest such cluster gives the initial shared intrinsics.
+        candidate_focal_ratio, candidate_k: photos whose own intrinsics differ from these by less are tried with the
+            shared ones: photos perpendicular to a wall hardly determine their focal length.
+        worse_ratio: growth of a photo's reprojection error, without its worst tenth, that indicates another camera.
+        min_photos: smaller clusters are ignored.
+        min_focal_widths, max_focal_widths: plausible focal lengths, in units of the photo's longer side.
+        max_distortion: largest plausible first radial term, in absolute value.
         second_term_from: observations that determine a second radial term.
-        min_observations: of a photo with a lens of its own; one with fewer is given up.
-        max_focal_sigma: formal relative standard deviation of a focal length beyond which a photo is given up. The
+        min_observations: of a photo with its own intrinsics; a photo with fewer is dropped.
+        max_focal_sigma: formal relative standard deviation of a focal length beyond which a photo is dropped. The
             formal one is optimistic: the errors are about four times as large.
     """
 
@@ -60,16 +60,16 @@ class IntrinsicsOptions:
 
 
 def group_intrinsics(model: pycolmap.Reconstruction, options: IntrinsicsOptions) -> pycolmap.Reconstruction:
-    """A copy, adjusted, in which the photos of one lens have one camera, and all others one of their own.
+    """A copy, adjusted, in which photos with shared intrinsics have one camera, and all others one each.
 
-    Ids and names of images and points stay.
+    Ids and names of images and points are kept.
     """
     groups: list[list[int]] = []
     ids = sorted(model.reg_image_ids())
     own_px, observations = _errors_px(model)
     while True:
-        taken = {i for group in groups for i in group}
-        members = _candidates(model, [i for i in ids if i not in taken], options)
+        grouped = {i for group in groups for i in group}
+        members = _candidates(model, [i for i in ids if i not in grouped], options)
         while len(members) >= options.min_photos:
             trial = _regrouped(model, [*groups, members], options)
             adjust(trial, robust=True)
@@ -79,28 +79,28 @@ def group_intrinsics(model: pycolmap.Reconstruction, options: IntrinsicsOptions)
             worst = max(excess.values())
             if worst <= options.worse_ratio:
                 break
-            # A wrong member spoils its neighbours' fit: the worst go first, the others are judged again.
+            # A wrong member degrades the fit of the others: the worst are removed first, the others are tested again.
             members = [i for i in members if excess[i] < max(options.worse_ratio, 0.7 * worst)]
         if len(members) < options.min_photos:
             break
         groups.append(members)
     shared = _regrouped(model, groups, options)
     adjust(shared, robust=True)
-    # A lens of its own fits wrong observations as well; the shared one shows them.
+    # Own intrinsics adapt to wrong observations; shared ones expose them as outliers.
     pycolmap.ObservationManager(shared).filter_all_points3D(MAX_ERROR_PX, MIN_ANGLE_DEG)
     adjust(shared)
     return shared
 
 
-def is_real(camera: pycolmap.Camera, options: IntrinsicsOptions) -> bool:
-    """Whether a lens could be one; an adjustment that has lost its way leaves others behind."""
+def is_plausible(camera: pycolmap.Camera, options: IntrinsicsOptions) -> bool:
+    """Whether intrinsics are plausible; a diverged adjustment may leave others."""
     return not camera.has_bogus_params(options.min_focal_widths, options.max_focal_widths, options.max_distortion)
 
 
 def without_impossible(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
-    """The model without photos through lenses that cannot be, such as of negative focal length.
+    """The model without photos of impossible intrinsics, such as a negative focal length.
 
-    COLMAP's last adjustment leaves them behind where a photo has lost its way, and nothing can be computed with them.
+    COLMAP's last adjustment may leave such photos after divergence; they cannot be used in computations.
     """
     for camera_id, users in _users(model).items():
         if model.camera(camera_id).has_bogus_params(*COLMAP_FOCAL_WIDTHS, np.inf):
@@ -110,81 +110,83 @@ def without_impossible(model: pycolmap.Reconstruction) -> pycolmap.Reconstructio
 
 
 def without_doubtful(model: pycolmap.Reconstruction, options: IntrinsicsOptions) -> pycolmap.Reconstruction:
-    """A copy without the photos whose own lens is impossible or not known: they stand anywhere along their rays."""
+    """A copy without the photos whose own intrinsics are implausible or undetermined: their positions are too."""
     copy = pycolmap.Reconstruction(model)
     sigmas = focal_sigmas(copy)
     for camera_id, users in _users(model).items():
-        known = is_real(model.camera(camera_id), options)
+        known = is_plausible(model.camera(camera_id), options)
         known &= sigmas.get(camera_id, float("inf")) <= options.max_focal_sigma
         known &= len(users) > 1 or model.image(users[0]).num_points3D >= options.min_observations
         if not known:
             for i in users:
                 copy.deregister_frame(copy.image(i).frame_id)
-    # What is no longer registered would still be in the way of the adjustment's covariance.
+    # Images that are no longer registered would make the covariance of the adjustment fail.
     return _regrouped(copy, [users for users in _users(copy).values() if len(users) > 1], options)
 
 
 def shared_intrinsics(
     models: Sequence[pycolmap.Reconstruction], options: IntrinsicsOptions
 ) -> dict[str, pycolmap.Camera]:
-    """The lens of each photo that shares one, by the photo's name, from reconstructions with shared lenses.
+    """The intrinsics of each photo that shares them, by the photo's name, from grouped reconstructions.
 
-    Reconstructions are taken in order. A lens that is like an earlier one is the same, better known there.
+    Reconstructions are processed in order. Intrinsics close to earlier ones are replaced by those.
     """
-    lens_of: dict[str, pycolmap.Camera] = {}
+    camera_of: dict[str, pycolmap.Camera] = {}
     found: list[pycolmap.Camera] = []
     for model in models:
         for camera_id, users in sorted(_users(model).items(), key=lambda item: -len(item[1])):
             camera = model.camera(camera_id)
-            if len(users) > 1 and is_real(camera, options):
+            if len(users) > 1 and is_plausible(camera, options):
                 camera = next((other for other in found if _alike(camera, other, options)), camera)
                 found.append(camera)
-                lens_of = dict.fromkeys((model.image(i).name for i in users), camera) | lens_of
-    return lens_of
+                camera_of = dict.fromkeys((model.image(i).name for i in users), camera) | camera_of
+    return camera_of
 
 
-def write_intrinsics(database: pycolmap.Database, lens_of: Mapping[str, pycolmap.Camera]) -> set[int]:
-    """Give photos of a database these lenses; ids of their cameras. Each photo keeps a camera of its own.
+def write_intrinsics(database: pycolmap.Database, known_cameras: Mapping[str, pycolmap.Camera]) -> set[int]:
+    """Write known intrinsics to the photos of a database; returns the ids of their cameras.
 
-    One without a lens begins with the most usual one: what it had before may have come from a wrong place.
+    Each photo keeps its own camera. Photos without known intrinsics start with the most frequent ones: their former
+    ones may be wrong.
     """
-    usual = max(lens_of.values(), key=lambda camera: sum(camera is other for other in lens_of.values()), default=None)
+    cameras = known_cameras.values()
+    usual = max(cameras, key=lambda camera: sum(camera is other for other in cameras), default=None)
     fixed: set[int] = set()
     for image in database.read_all_images():
         camera = database.read_camera(image.camera_id)
-        lens = lens_of.get(image.name, usual)
-        if lens is None or (lens.width, lens.height) != (camera.width, camera.height):
+        known = known_cameras.get(image.name, usual)
+        if known is None or (known.width, known.height) != (camera.width, camera.height):
             continue
         written = pycolmap.Camera(
-            model=lens.model, width=lens.width, height=lens.height, params=lens.params, camera_id=image.camera_id
+            model=known.model, width=known.width, height=known.height, params=known.params, camera_id=image.camera_id
         )
-        written.has_prior_focal_length = image.name in lens_of
+        written.has_prior_focal_length = image.name in known_cameras
         database.update_camera(written)
-        if image.name in lens_of:
+        if image.name in known_cameras:
             fixed.add(image.camera_id)
     return fixed
 
 
 def _candidates(model: pycolmap.Reconstruction, ids: list[int], options: IntrinsicsOptions) -> list[int]:
-    """The photos that could have the lens that most of `ids` agree about; none where no crowd agrees."""
+    """The photos that may have the intrinsics of the largest cluster of `ids`; none without a cluster."""
     cameras = [model.camera(model.image(i).camera_id) for i in ids]
-    real = [k for k, camera in enumerate(cameras) if is_real(camera, options)]
-    if not real:
+    plausible = [k for k, camera in enumerate(cameras) if is_plausible(camera, options)]
+    if not plausible:
         return []
-    sizes = np.array([(cameras[k].width, cameras[k].height) for k in real])
-    focal = np.log([cameras[k].mean_focal_length() / cameras[k].width for k in real])
-    radial = np.array([_radial(cameras[k])[0] for k in real])
+    sizes = np.array([(cameras[k].width, cameras[k].height) for k in plausible])
+    focal = np.log([cameras[k].mean_focal_length() / cameras[k].width for k in plausible])
+    radial = np.array([_radial(cameras[k])[0] for k in plausible])
 
     def near(k: int, focal_ratio: float, distortion: float) -> Mask:
         alike = (np.abs(focal - focal[k]) < np.log1p(focal_ratio)) & (np.abs(radial - radial[k]) < distortion)
         return np.asarray(alike & (sizes == sizes[k]).all(axis=1))
 
-    crowds = [near(k, options.alike_focal_ratio, options.alike_k) for k in range(len(real))]
-    best = int(np.argmax([crowd.sum() for crowd in crowds]))
-    if crowds[best].sum() < options.min_photos:
+    clusters = [near(k, options.alike_focal_ratio, options.alike_k) for k in range(len(plausible))]
+    best = int(np.argmax([cluster.sum() for cluster in clusters]))
+    if clusters[best].sum() < options.min_photos:
         return []
     admitted = near(best, options.candidate_focal_ratio, options.candidate_k)
-    return [ids[k] for k, is_in in zip(real, admitted, strict=True) if is_in]
+    return [ids[k] for k, is_in in zip(plausible, admitted, strict=True) if is_in]
 
 
 def _regrouped(
@@ -193,9 +195,9 @@ def _regrouped(
     """A copy in which the images of each group share a camera, the median of theirs."""
     copy = pycolmap.Reconstruction()
     ids = sorted(model.reg_image_ids())
-    taken = {i for group in groups for i in group}
+    grouped = {i for group in groups for i in group}
     camera_of: dict[int, int] = {}
-    for number, group in enumerate([*groups, *([i] for i in ids if i not in taken)], start=1):
+    for number, group in enumerate([*groups, *([i] for i in ids if i not in grouped)], start=1):
         old = [model.camera(model.image(i).camera_id) for i in group]
         observations = sum(model.image(i).num_points3D for i in group)
         second_term = observations >= options.second_term_from
@@ -204,8 +206,8 @@ def _regrouped(
     for i in ids:
         image = model.image(i)
         keypoints = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
-        fresh = pycolmap.Image(name=image.name, camera_id=camera_of[i], image_id=i, keypoints=keypoints)
-        copy.add_image_with_trivial_frame(fresh, image.cam_from_world())
+        copied = pycolmap.Image(name=image.name, camera_id=camera_of[i], image_id=i, keypoints=keypoints)
+        copy.add_image_with_trivial_frame(copied, image.cam_from_world())
     for point in model.points3D.values():
         copy.add_point3D(point.xyz, point.track, point.color)
     copy.update_point_3d_errors()
@@ -213,7 +215,7 @@ def _regrouped(
 
 
 def _users(model: pycolmap.Reconstruction) -> dict[int, list[int]]:
-    """Image ids by the camera that they have."""
+    """Image ids by camera id."""
     users: dict[int, list[int]] = {}
     for i in sorted(model.reg_image_ids()):
         users.setdefault(model.image(i).camera_id, []).append(i)
@@ -234,7 +236,7 @@ def _median_camera(cameras: Sequence[pycolmap.Camera], camera_id: int, *, second
 
 
 def _radial(camera: pycolmap.Camera) -> tuple[float, float]:
-    """The first two radial terms."""
+    """The first two radial terms of the distortion."""
     distortion = intrinsics_of(camera).distortion
     return distortion[0], distortion[1]
 
@@ -251,11 +253,11 @@ def _errors_px(model: pycolmap.Reconstruction) -> tuple[dict[int, float], dict[i
     component = component_from_colmap(model, names)
     errors, counts = {}, {}
     for index, camera in enumerate(component.cameras):
-        mine = component.obs_camera == index
-        xyz_cam = camera.cam_from_world.apply(component.points[component.obs_point[mine]])
-        gap: Array = camera.intrinsics.px_from_cam(xyz_cam) - component.obs_px[mine]
+        own = component.obs_camera == index
+        xyz_cam = camera.cam_from_world.apply(component.points[component.obs_point[own]])
+        gap: Array = camera.intrinsics.px_from_cam(xyz_cam) - component.obs_px[own]
         squared: NDArray[np.float64] = np.nan_to_num(np.sum(gap**2, axis=1), nan=1e6)
         best = np.sort(squared)[: int(np.ceil(0.9 * len(squared)))]
-        errors[int(camera.image)] = float(np.sqrt(best.mean())) if mine.any() else float("inf")
-        counts[int(camera.image)] = int(mine.sum())
+        errors[int(camera.image)] = float(np.sqrt(best.mean())) if own.any() else float("inf")
+        counts[int(camera.image)] = int(own.sum())
     return errors, counts

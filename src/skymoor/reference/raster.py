@@ -190,9 +190,9 @@ def read_colours(source: DatasetReader, window: Window, step: tuple[int, int] = 
     """
     out_shape = (max(1, int(window.height) // step[0]), max(1, int(window.width) // step[1]))
     labels = source.colorinterp
-    wanted = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
-    if all(label in labels for label in wanted):
-        bands = [labels.index(label) + 1 for label in wanted]
+    rgb_labels = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+    if all(label in labels for label in rgb_labels):
+        bands = [labels.index(label) + 1 for label in rgb_labels]
     else:
         opaque = [k + 1 for k, label in enumerate(labels) if label != ColorInterp.alpha]
         bands = opaque[:3] if len(opaque) >= 3 else opaque[:1] * 3

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a simulated site is asked to be."""
+"""Options of a simulated site."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def _visible(camera: Camera, scene: Scene, points: Array) -> tuple[Array, Mask]:
 def _enter(
     db: pycolmap.Database, names: Sequence[str], sizes: Sequence[tuple[int, int]], *, shared_camera: bool
 ) -> list[int]:
-    """Cameras with COLMAP's usual first guess, and images; returns the images' numbers."""
+    """Cameras with COLMAP's default initial focal length, and images; returns the images' numbers."""
     rigs: dict[tuple[int, int], tuple[int, int]] = {}
     ids = []
     for name, size in zip(names, sizes, strict=True):

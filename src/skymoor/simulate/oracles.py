@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Engines that know the answer: each stage can be tested alone, or replaced while another is looked at.
+"""Engines that know the truth: each stage can be tested alone, or replaced while another is examined.
 
-An oracle is called like the engine whose place it takes. Its fields say how badly it answers. Photos are known by
+An oracle is called like the engine that it replaces. Its fields set the errors of its results. Photos are known by
 their names in the simulated site, or, where an engine gets pixels only, by those.
 """
 
@@ -147,8 +147,8 @@ class OracleMatcher:
     Attributes:
         xyz_a, xyz_b: (h, w, 3) positions in one frame, NaN where a picture shows nothing.
         tolerance: positions farther apart than this are different places, in units of the frame.
-        noise_px: standard deviation of the answers.
-        outlier_share: share of answers that are drawn at random, with full confidence.
+        noise_px: standard deviation of the results.
+        outlier_share: share of results that are drawn at random, with full confidence.
         seed: of the errors.
     """
 
@@ -177,7 +177,7 @@ class OracleMatcher:
         wrong = rng.uniform(size=len(px)) < self.outlier_share
         px[wrong] = rng.uniform(size=(int(wrong.sum()), 2)) * [target.shape[1], target.shape[0]]
         good = apart <= self.tolerance
-        # Where there is no answer the flow leads out of the picture.
+        # Without a true match the flow leads out of the image.
         flow, confidence = np.full((*mask.shape, 2), -1.0, np.float32), np.zeros(mask.shape, np.float32)
         flow[rows[good], columns[good]], confidence[rows[good], columns[good]] = px[good], 1.0
         return flow, confidence

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A known similarity comes back from tile matches, exhaustively and by the cascade; and what is nowhere is refused."""
+"""A known similarity is recovered from tile matches, exhaustively and by the cascade; other sites are refused."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def camera_gaps_m(found: Registration, maps: list[DepthMap], enu_from_level: Sim
     return np.linalg.norm(found.enu_from_level.apply(centres) - enu_from_level.apply(centres), axis=1)
 
 
-def test_the_exhaustive_search_finds_the_place(
+def test_the_exhaustive_search_finds_the_registration(
     by_all: Registration, walk: tuple[list[DepthMap], Similarity], world: TileWorld
 ) -> None:
     maps, enu_from_level = walk
@@ -62,12 +62,12 @@ def test_the_exhaustive_search_finds_the_place(
     assert 0.2 < by_all.inlier_ratio < 0.8  # some of the best tiles are wrong, and some matches of the right ones
 
 
-def test_wrong_tiles_speak_and_do_not_win(by_all: Registration) -> None:
-    # Without them there would be no second answer.
+def test_wrong_tiles_do_not_win(by_all: Registration) -> None:
+    # Without them there would be no second hypothesis.
     assert 50 < by_all.diagnostics["second_score"] < 0.2 * by_all.diagnostics["score"]
 
 
-def test_the_cascade_gives_the_same_answer_for_few_pairs(
+def test_the_cascade_gives_the_same_result_for_few_pairs(
     by_all: Registration, walk: tuple[list[DepthMap], Similarity], world: TileWorld, oracle: TileOracle
 ) -> None:
     maps, enu_from_level = walk
@@ -84,7 +84,7 @@ def test_the_cascade_gives_the_same_answer_for_few_pairs(
         assert found.diagnostics["pairs_in_all"] == by_all.diagnostics["pairs"]
 
 
-def test_the_same_state_gives_the_same_answer(
+def test_the_same_state_gives_the_same_result(
     walk: tuple[list[DepthMap], Similarity], world: TileWorld, oracle: TileOracle
 ) -> None:
     a, b = (cascade(walk[0], world.renders, oracle, QUICK, rng=np.random.default_rng(2)) for _ in range(2))
@@ -134,7 +134,7 @@ def test_one_bent_camera_does_not_spoil_the_others(world: TileWorld, oracle: Til
     found = cascade(maps, world.renders, oracle, QUICK, rng=np.random.default_rng(0))
     assert found.registered, found.reason
     assert camera_gaps_m(found, maps, enu_from_level).max() < 0.15
-    # What the bent one says is left out: the others agree.
+    # The bent one is left out: the others agree.
     assert 4 <= found.diagnostics["photos_agree"] <= 5
 
 

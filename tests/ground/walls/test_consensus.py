@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Guesses of several walls are pooled, and weak or doubtful answers are refused."""
+"""Hypotheses of several walls are pooled, and weak or doubtful ones are refused."""
 
 from __future__ import annotations
 

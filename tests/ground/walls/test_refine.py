@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A place that is a little off comes back to where the score is highest."""
+"""A perturbed pose is refined to the maximum of the score."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def off_by(east_m: float, rotation_deg: float, scale: float) -> Similarity:
 
 
 @pytest.mark.parametrize(("east_m", "rotation_deg", "scale"), [(0.5, 1.0, 1.02), (-0.7, -0.5, 0.97), (0.0, 0.0, 1.0)])
-def test_the_best_place_comes_back(east_m: float, rotation_deg: float, scale: float) -> None:
+def test_the_best_pose_is_recovered(east_m: float, rotation_deg: float, scale: float) -> None:
     start, tried = off_by(east_m, rotation_deg, scale), []
 
     def counted(place: Similarity) -> float:

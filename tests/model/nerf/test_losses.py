@@ -63,9 +63,9 @@ def test_depth_is_least_for_a_straight_logarithm_of_density() -> None:
     t = torch.linspace(0.0, 20.0, 401)[None]
     losses = []
     for shift in (-0.5, 0.0, 0.5):
-        seen = composite(1.2 * torch.exp(1.2 * (t - 10 - shift) + math.log(math.log(2))), t, torch.tensor([20.0]))
+        composited = composite(1.2 * torch.exp(1.2 * (t - 10 - shift) + math.log(math.log(2))), t, torch.tensor([20.0]))
         sigma = torch.tensor([math.pi / math.sqrt(6) / 1.2])
-        losses.append(depth_loss(seen.weights, seen.edges, torch.tensor([10.0]), sigma, floor=1e-9).item())
+        losses.append(depth_loss(composited.weights, composited.edges, torch.tensor([10.0]), sigma, floor=1e-9).item())
     assert losses[1] < min(losses[0], losses[2]) - 0.05
 
 

@@ -65,8 +65,8 @@ def test_the_surface_lies_between_cells_where_it_was_measured(toy: Toy, x: float
     t = torch.linspace(0.0, 12.0, 400)
     found = np.interp((height + 6 - t.numpy()), heights.numpy(), values.numpy())
     density = torch.exp(torch.tensor(found[None], dtype=torch.float32) + BASE_LOG_DENSITY)
-    seen = composite(density, t[None], torch.tensor([12.0]))
-    assert seen.median.item() == pytest.approx(6.0, abs=0.15 * CELL)
+    composited = composite(density, t[None], torch.tensor([12.0]))
+    assert composited.median.item() == pytest.approx(6.0, abs=0.15 * CELL)
 
 
 def test_one_wrong_depth_map_carves_no_hole(toy: Toy) -> None:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from skymoor.model.nerf.box import Box
-from skymoor.model.nerf.sampling import Proposal, between, composite, ray_weights, sample_measured, sample_proposal
+from skymoor.model.nerf.sampling import Proposal, composite, midpoints, ray_weights, sample_measured, sample_proposal
 
 BOX = Box((0.0, 0.0), 50.0, -5.0, 25.0)
 
@@ -25,8 +25,8 @@ def test_constant_density_lets_light_fade_exponentially() -> None:
 def test_median_depth_is_exact_between_samples() -> None:
     t, far = torch.linspace(2.0, 22.0, 7)[None], torch.tensor([30.0])
     for density in (0.15, 0.6, 3.0):
-        seen = composite(torch.full((1, 7), density), t, far)
-        assert seen.median.item() == pytest.approx(2.0 + math.log(2) / density, rel=1e-4)
+        composited = composite(torch.full((1, 7), density), t, far)
+        assert composited.median.item() == pytest.approx(2.0 + math.log(2) / density, rel=1e-4)
 
 
 @pytest.mark.parametrize("count", [9, 33])
@@ -34,52 +34,52 @@ def test_density_that_grows_exponentially_is_integrated_exactly(count: int) -> N
     # s exp(s (t - 10)) has collected exp(s (t - 10)) by t: half of the light is gone at 10 + ln(ln 2) / s.
     s = 1.5
     t = torch.linspace(0.0, 16.0, count)[None]
-    seen = composite(s * torch.exp(s * (t - 10)), t, torch.tensor([20.0]))
-    assert seen.median.item() == pytest.approx(10 + math.log(math.log(2)) / s, abs=1e-3)
-    assert seen.opacity.item() == pytest.approx(1.0, abs=1e-5)
+    composited = composite(s * torch.exp(s * (t - 10)), t, torch.tensor([20.0]))
+    assert composited.median.item() == pytest.approx(10 + math.log(math.log(2)) / s, abs=1e-3)
+    assert composited.opacity.item() == pytest.approx(1.0, abs=1e-5)
 
 
 def test_falling_density_is_integrated_exactly() -> None:
     t = torch.linspace(0.0, 12.0, 5)[None]
-    seen = composite(2.0 * torch.exp(-0.5 * t), t, torch.tensor([12.0]))
-    assert seen.opacity.item() == pytest.approx(1 - math.exp(-4 * (1 - math.exp(-6))), rel=1e-4)
-    assert seen.median.item() == pytest.approx(-2 * math.log(1 - math.log(2) / 4), rel=1e-3)
+    composited = composite(2.0 * torch.exp(-0.5 * t), t, torch.tensor([12.0]))
+    assert composited.opacity.item() == pytest.approx(1 - math.exp(-4 * (1 - math.exp(-6))), rel=1e-4)
+    assert composited.median.item() == pytest.approx(-2 * math.log(1 - math.log(2) / 4), rel=1e-3)
 
 
 def test_a_wall_is_seen_where_it_begins() -> None:
     t = torch.linspace(0.0, 20.0, 41)[None]
-    seen = composite(torch.where(t > 12.0, 50.0, 0.0), t, torch.tensor([21.0]))
-    assert 12.0 < seen.median.item() < 12.6
-    assert seen.opacity.item() == pytest.approx(1.0, abs=1e-5)
-    assert seen.variance.sqrt().item() < 0.3
+    composited = composite(torch.where(t > 12.0, 50.0, 0.0), t, torch.tensor([21.0]))
+    assert 12.0 < composited.median.item() < 12.6
+    assert composited.opacity.item() == pytest.approx(1.0, abs=1e-5)
+    assert composited.variance.sqrt().item() < 0.3
 
 
 def test_two_half_transparent_layers_have_a_spread() -> None:
     t = torch.linspace(0.0, 20.0, 41)[None]
     density = torch.where((t > 4) & (t < 5.1), 0.6, 0.0) + torch.where(t > 14, 50.0, 0.0)
-    seen = composite(density, t, torch.tensor([20.0]))
-    assert seen.opacity.item() == pytest.approx(1.0, abs=1e-4)
-    assert 4.5 < seen.variance.sqrt().item() < 10.0
+    composited = composite(density, t, torch.tensor([20.0]))
+    assert composited.opacity.item() == pytest.approx(1.0, abs=1e-4)
+    assert 4.5 < composited.variance.sqrt().item() < 10.0
 
 
 def test_thin_air_is_not_opaque() -> None:
     t = torch.linspace(0.0, 18.0, 20)[None]
-    seen = composite(torch.full((1, 20), 0.01), t, torch.tensor([20.0]))
-    assert seen.opacity.item() == pytest.approx(1 - math.exp(-0.2), rel=1e-4)
-    assert torch.isfinite(seen.median).all()
+    composited = composite(torch.full((1, 20), 0.01), t, torch.tensor([20.0]))
+    assert composited.opacity.item() == pytest.approx(1 - math.exp(-0.2), rel=1e-4)
+    assert torch.isfinite(composited.median).all()
 
 
 def test_the_gradient_of_an_opaque_ray_is_a_number() -> None:
     raw = torch.tensor([[-30.0, -3.0, 8.0, 8.0, -30.0]], requires_grad=True)
-    seen = composite(raw.exp(), torch.tensor([[1.0, 2.0, 3.0, 3.0, 9.0]]), torch.tensor([12.0]))
-    (slope,) = torch.autograd.grad(seen.mean.sum() + torch.log(seen.weights + 0.01).sum(), raw)
+    composited = composite(raw.exp(), torch.tensor([[1.0, 2.0, 3.0, 3.0, 9.0]]), torch.tensor([12.0]))
+    (slope,) = torch.autograd.grad(composited.mean.sum() + torch.log(composited.weights + 0.01).sum(), raw)
     assert torch.isfinite(slope).all()
     assert slope.abs().max() > 0
 
 
 def test_values_of_intervals_lie_between_those_of_samples() -> None:
     values = torch.tensor([[[1.0], [3.0], [7.0]]])
-    assert between(values).flatten().tolist() == [2.0, 5.0, 7.0]
+    assert midpoints(values).flatten().tolist() == [2.0, 5.0, 7.0]
 
 
 def test_samples_follow_the_weights() -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ground photos onto the airborne model by matching them with tiles of its renders (paper, section 3.4).
+"""Registration of ground photos by matches with tiles of airborne renders (paper, section 3.4).
 
-For learned dense matchers, which find a photo's wall in a picture from the air. `exhaustive` matches all with all, as
-the paper does; `cascade` comes to the same answer with a fraction of the pairs.
+For learned dense matchers, which match walls between ground photos and airborne renders. `exhaustive` matches all
+pairs, as the paper; `cascade` gives the same result with a fraction of the pairs.
 """
 
 from skymoor.ground.tiles.cascade import CascadeOptions, cascade

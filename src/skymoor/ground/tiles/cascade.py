@@ -157,7 +157,7 @@ class _Search:
                 left = order[photo][~self._done[photo, order[photo]]]
                 self._try(photo, left[:1])
             self._add(self._consensus(Pool.of(self._pairs)))
-            confirmed = [self._test(one) for one in self._promising()]
+            confirmed = [self._test(hypothesis) for hypothesis in self._promising()]
             if any(confirmed) and self._decisive():
                 break
         return self._conclude(with_icp=True)

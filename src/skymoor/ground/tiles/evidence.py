@@ -28,7 +28,7 @@ class ConsensusOptions:
         best_tiles: tiles per photo, by number of matches, whose own transform is a hypothesis (the paper's k).
         inlier_m: largest residual of an inlier (the paper's).
         min_pair_matches: a pair with fewer yields no hypothesis.
-        matches_per_pair: drawn at random for the consensus, so that no pair outvotes the others.
+        matches_per_pair: drawn at random for the consensus, so that all pairs have equal weight.
         min_scale, max_scale: metres per unit of the ground model.
         max_trials: of RANSAC, per pair.
         min_inlier_ratio: over the matches of each photo's best tiles; less is a refusal (the paper's).
@@ -163,7 +163,7 @@ class Evidence:
         o, pool = self.options, Pool.of(pairs)
         found_any = criterion("tile_hypotheses", len(hypotheses), 1)
         if not hypotheses:
-            return with_criteria(_unplaced(pool, {"pairs": float(len(pairs))}), [found_any])
+            return with_criteria(_not_registered(pool, {"pairs": float(len(pairs))}), [found_any])
         scores = np.array([np.count_nonzero(pool.gaps_m(h) <= o.inlier_m) for h in hypotheses])
         best = int(np.argmax(scores))
         found = self._refitted(hypotheses[best], pool, with_covariance=with_icp)
@@ -189,7 +189,7 @@ class Evidence:
 
     def _refitted(self, start: Similarity, pool: Pool, *, with_covariance: bool) -> Registration:
         """Fitted to the matches near it, then to those near the fit."""
-        enu_from_level, found = start, _unplaced(pool, {})
+        enu_from_level, found = start, _not_registered(pool, {})
         for round_ in range(2):
             near = pool.take(pool.gaps_m(enu_from_level) <= 1.5 * self.options.inlier_m)
             found = register(
@@ -205,7 +205,7 @@ class Evidence:
         return found
 
     def _icp(self, enu_from_level: Similarity, pool: Pool) -> IcpResult | None:
-        """ICP on all points of both sides; taken back where the matches contradict it."""
+        """ICP on all points of both sides; discarded where the matches contradict it."""
         o = self.options
         if o.icp is None:
             return None
@@ -238,16 +238,16 @@ def evidence_of(
     options: ConsensusOptions,
     rng: np.random.Generator,
 ) -> Evidence:
-    """Ready for matching. Raises `DegenerateGeometry` where no photo has a point."""
+    """Prepare the matching. Raises `DegenerateGeometry` where no photo has a point."""
     known = [points for points in (photo.known_level for photo in photos) if len(points)]
     if not known:
-        raise DegenerateGeometry("no ground photo has a depth to lift its matches with")
+        raise DegenerateGeometry("no ground photo has a depth map, which is needed to lift its matches")
     probes = np.concatenate([points[rng.integers(0, len(points), 20)] for points in known])
     return Evidence(photos, airborne, matcher, options, probes, rng)
 
 
 def _criteria(found: Registration, o: ConsensusOptions) -> list[Criterion]:
-    """What is asked of a transform that was estimated."""
+    """Criteria of an estimated transform."""
     d = found.diagnostics
     return [
         criterion("inlier_ratio", found.inlier_ratio, o.min_inlier_ratio),
@@ -258,7 +258,7 @@ def _criteria(found: Registration, o: ConsensusOptions) -> list[Criterion]:
     ]
 
 
-def _unplaced(pool: Pool, diagnostics: dict[str, float]) -> Registration:
+def _not_registered(pool: Pool, diagnostics: dict[str, float]) -> Registration:
     return Registration(
         registered=False, reason="", enu_from_level=None, n_matches=len(pool.matches), diagnostics=diagnostics
     )

@@ -30,13 +30,13 @@ class IcpOptions:
         reach_m: a point farther than this from the other cloud has no partner: the clouds overlap in part.
         tukey_m: distances from the partner's plane beyond this do not count.
         max_move_m: a result that moves the points farther than this on average is not used.
-        min_gain: share by which the gap between the clouds must shrink. ICP trusts the surfaces, and a model from the
-            air is off by half a pixel of its photos here and there: on a simulated site of 0.3 m pixels it left 0.2 to
-            0.6 m of error wherever it started, with gains below this where the start was better than that.
+        min_gain: share by which the gap between the clouds must shrink. ICP is limited by the accuracy of the surfaces,
+            and an airborne model has errors of about half a pixel: on a simulated site of 0.3 m pixels it left 0.2 to
+            0.6 m of error from every start, with gains below this where the start was better than that.
         iterations: of Open3D.
         with_scale: whether the scale is free. Then so many `scale_rounds` follow, each all seven parameters at once.
         min_partners: points with a partner.
-        min_hold: how well the planes hold the least certain parameter, where 1/3 is a cube's three directions.
+        min_hold: how well the planes determine the least certain parameter; 1/3 for the three directions of a cube.
     """
 
     voxel_m: float = 0.2
@@ -81,7 +81,7 @@ def refine_icp(source: Array, target: Array, start: Similarity, options: IcpOpti
     options = options or IcpOptions()
     for name, cloud in (("source", source), ("target", target)):
         if len(cloud) < options.min_partners:
-            raise TooFewMatches(f"the {name} has {len(cloud)} points, ICP needs {options.min_partners}")
+            raise TooFewMatches(f"the {name} has {len(cloud)} points, ICP needs at least {options.min_partners}")
     pair = _Pair.thinned(start.apply(source), target, options)
     gap, overlap = pair.gap_m(Similarity.identity()), pair.overlap()
     if overlap * len(pair.source) < options.min_partners:
@@ -94,7 +94,7 @@ def refine_icp(source: Array, target: Array, start: Similarity, options: IcpOpti
     after = pair.gap_m(step)
     moved = float(np.linalg.norm(step.apply(pair.source) - pair.source, axis=1).mean())
     if moved > options.max_move_m:
-        reason = f"the points would move by {moved:.2f} m, {options.max_move_m:.2f} m is the limit"
+        reason = f"the points would move by {moved:.2f} m; at most {options.max_move_m:.2f} m is allowed"
     elif after > (1 - options.min_gain) * gap:
         reason = (
             f"the clouds would be closer by only {max(1 - after / gap, 0):.0%}, {options.min_gain:.0%} are required"
@@ -118,7 +118,7 @@ class _Pair:
     @classmethod
     def thinned(cls, source: Array, target: Array, options: IcpOptions) -> _Pair:
         o3d = open3d()
-        # What lies beyond all partners is not worth a normal: the target is a whole site.
+        # Normals are estimated near the source only: the target may be a whole site.
         margin = options.reach_m + options.max_move_m + 4 * options.voxel_m
         near = ((target >= source.min(axis=0) - margin) & (target <= source.max(axis=0) + margin)).all(axis=1)
         target = target[near] if np.count_nonzero(near) >= options.min_partners else target
@@ -129,7 +129,7 @@ class _Pair:
         return cls(np.asarray(thin[0].points), thin[1], points, np.asarray(thin[1].normals), cKDTree(points), options)
 
     def partners(self, step: Similarity) -> tuple[Array, Array, Array]:
-        """Moved points (k, 3) that have a partner, its normals (k, 3), and the distances (k,) to its plane."""
+        """Transformed points (k, 3) that have a partner, its normals (k, 3), and the distances (k,) to its plane."""
         moved = step.apply(self.source)
         distance, index = self.tree.query(moved, distance_upper_bound=self.options.reach_m)
         near = np.isfinite(distance)
@@ -141,7 +141,7 @@ class _Pair:
         return len(self.partners(Similarity.identity())[0]) / len(self.source)
 
     def gap_m(self, step: Similarity) -> float:
-        """Of all points: those without a partner count as `tukey_m`, else moving away would look like a gain."""
+        """RMS over all points: those without a partner count as `tukey_m`, or moving away would reduce it."""
         cut = self.options.tukey_m
         _, _, gaps = self.partners(step)
         lost = len(self.source) - len(gaps)
@@ -153,7 +153,7 @@ class _Pair:
         return float(np.linalg.eigvalsh(normal)[0])
 
     def rigid(self) -> Similarity:
-        """Open3D's answer."""
+        """Rigid ICP by Open3D."""
         icp = open3d().pipelines.registration
         found = icp.registration_icp(
             _cloud(self.source),
@@ -168,7 +168,7 @@ class _Pair:
         return Similarity(1.0, Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3])
 
     def scaled(self, step: Similarity) -> Similarity:
-        """Gauss-Newton on all seven parameters, which Open3D does not have; the same step where scale is not held."""
+        """Gauss-Newton on all seven parameters, which Open3D does not have; the same step for an undetermined scale."""
         for _ in range(self.options.scale_rounds):
             if self.hold(step, with_scale=True) < self.options.min_hold:
                 return step

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hypotheses about where a ground model stands, from single walls, to the one that is accepted, or to none."""
+"""From the hypotheses of single walls to the registration of a ground model, accepted or refused."""
 
 from __future__ import annotations
 
@@ -63,11 +63,11 @@ def pool_hypotheses(
     ranked = sorted(hypotheses, key=lambda one: -one.score)[: options.screened]
     if not ranked:
         return []
-    placed = np.array([one.enu_from_level.apply(probes) for one in ranked])
+    probes_enu = np.array([one.enu_from_level.apply(probes) for one in ranked])
     walls, scores = np.array([one.wall for one in ranked]), np.array([one.score for one in ranked])
     pooled: list[WallHypothesis] = []
     for k in np.flatnonzero(scores > options.lead_ratio * scores[0]):
-        near = np.linalg.norm(placed - placed[k], axis=2).mean(axis=1) < options.near_m
+        near = np.linalg.norm(probes_enu - probes_enu[k], axis=2).mean(axis=1) < options.near_m
         best = [float(scores[near & (walls == wall)].max()) for wall in np.unique(walls[near])]
         pooled.append(replace(ranked[k], score=float(np.linalg.norm(best)), support=len(best)))
     kept: list[WallHypothesis] = []
@@ -117,12 +117,12 @@ class AcceptanceOptions:
     """When the best hypothesis is accepted.
 
     Attributes:
-        min_contrast: see `RefinedHypothesis`; docs/benchmarks.md has what right and wrong hypotheses reach.
+        min_contrast: see `RefinedHypothesis`; docs/benchmarks.md has the values of right and wrong hypotheses.
         min_margin: by which the best contrast must exceed that of the best hypothesis elsewhere.
         min_rivals, lone_contrast: with fewer hypotheses elsewhere to compare with, the contrast itself must be so high.
         apart_m: hypotheses are elsewhere if they put the model's probes at least this far, on average.
         min_inlier_ratio: of the dense matches (the paper's).
-        min_cells, cell_m: cubes in space that hold inliers: neighbouring matches repeat each other.
+        min_cells, cell_m: cubes in space with inliers: neighbouring matches are correlated.
         max_tilt_deg: by which the registration may tilt the levelled model.
         min_height_m, max_height_m: of the cameras; see `RefinedHypothesis`.
         max_blocked: share of viewing rays that may cross walls.
@@ -145,7 +145,7 @@ class AcceptanceOptions:
 def decide_ground(
     candidates: Sequence[RefinedHypothesis], probes: Array, options: AcceptanceOptions | None = None
 ) -> Registration:
-    """The registration of the best candidate with all criteria that it was asked, accepted or refused.
+    """The registration of the best candidate with all criteria that were checked, accepted or refused.
 
     Args:
         candidates: refined hypotheses, the best one first, some of them of the same position.
@@ -159,8 +159,7 @@ def decide_ground(
     # Cameras in the air or behind walls make neither the best hypothesis nor a competing one.
     possible = [c for c in candidates if _possible(c, options)] or list(candidates)
     best, found = possible[0], possible[0].registration
-    placed = best.enu_from_level
-    compared = [c for c in candidates if _apart(placed, c.enu_from_level, probes) >= options.apart_m]
+    compared = [c for c in candidates if _apart(best.enu_from_level, c.enu_from_level, probes) >= options.apart_m]
     elsewhere = [c for c in compared if c in possible]
     second = max((c.contrast for c in elsewhere), default=0.0)
     diagnostics = {
@@ -202,9 +201,9 @@ def _criteria(best: RefinedHypothesis, second: float, needed: float, options: Ac
 
 
 def _possible(candidate: RefinedHypothesis, options: AcceptanceOptions) -> bool:
-    """Whether the cameras stand on the ground and look at what nothing hides."""
-    stands = options.min_height_m <= candidate.height_m <= options.max_height_m
-    return stands and candidate.blocked <= options.max_blocked
+    """Whether the cameras are at eye height and their viewing rays are free."""
+    on_ground = options.min_height_m <= candidate.height_m <= options.max_height_m
+    return on_ground and candidate.blocked <= options.max_blocked
 
 
 def _apart(a: Similarity, b: Similarity, probes: Array) -> float:

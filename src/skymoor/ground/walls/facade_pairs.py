@@ -69,9 +69,9 @@ def pair_facades(
     """
     options = options or FacadePairOptions()
     level_from_enu = enu_from_level.inverse()
-    # Options are metres; the orthophotos are made in the frame of the photos, whose unit is another.
+    # The options are in metres, `facade_of` takes lengths in the unit of the photos' frame, here level units.
     level_per_m = level_from_enu.scale
-    how = FacadeOptions(
+    in_level = FacadeOptions(
         tolerance_m=options.tolerance_m * level_per_m,
         margin_m=options.margin_m * level_per_m,
         guess_margin_m=options.margin_m * level_per_m,
@@ -85,7 +85,7 @@ def pair_facades(
         if not seeing:
             continue
         wall = transformed_wall(facade.wall, level_from_enu)
-        orthophoto = facade_of(wall, [maps_level[i] for i in seeing], facade.pixel_m * level_per_m, how)
+        orthophoto = facade_of(wall, [maps_level[i] for i in seeing], facade.pixel_m * level_per_m, in_level)
         if orthophoto.raster.mask.sum() >= FEWEST_PX:
             found.append(_on_grid(orthophoto, facade, options))
     return found
@@ -96,10 +96,12 @@ def _seeing(facade: Facade, centres: Array, heights: HeightRaster, options: Faca
     wall = facade.wall
     distance = np.linalg.norm(centres - wall.centre, axis=1)
     cosine = (centres[:, :2] @ wall.normal - wall.offset) / np.maximum(distance, 1e-9)
-    # Half a metre in front of the wall: cells of the heights reach over its edge.
+    # Half a metre in front of the wall: cells of the height raster extend over its edge.
     target = wall.centre + 0.5 * np.array([*wall.normal, 0.0])
-    way = centres + np.linspace(0.05, 0.9, 16)[:, None, None] * (target - centres)
-    blocked = (way[..., 2] < heights.at(way[..., :2], only_seen=True) - options.clearance_m).any(axis=0)
+    line_of_sight = centres + np.linspace(0.05, 0.9, 16)[:, None, None] * (target - centres)
+    blocked = (line_of_sight[..., 2] < heights.at(line_of_sight[..., :2], only_seen=True) - options.clearance_m).any(
+        axis=0
+    )
     seeing: Mask = (distance < options.max_distance_m) & (cosine > options.min_cosine) & ~blocked
     return seeing
 
@@ -111,11 +113,11 @@ def _on_grid(own: Facade, facade: Facade, options: FacadePairOptions) -> FacadeP
     u0, v0 = max(du, 0), max(dv, 0)
     height = min(facade.raster.mask.shape[0] - v0, own.raster.mask.shape[0] - (v0 - dv))
     width = min(facade.raster.mask.shape[1] - u0, own.raster.mask.shape[1] - (u0 - du))
-    there = (slice(v0, v0 + height), slice(u0, u0 + width))
-    here = (slice(v0 - dv, v0 - dv + height), slice(u0 - du, u0 - du + width))
+    of_airborne = (slice(v0, v0 + height), slice(u0, u0 + width))
+    of_ground = (slice(v0 - dv, v0 - dv + height), slice(u0 - du, u0 - du + width))
     return FacadePair(
         facade,
-        Raster(own.raster.rgb[here], own.raster.mask[here]),
-        Raster(facade.raster.rgb[there], facade.raster.mask[there]),
+        Raster(own.raster.rgb[of_ground], own.raster.mask[of_ground]),
+        Raster(facade.raster.rgb[of_airborne], facade.raster.mask[of_airborne]),
         np.array([u0, v0], dtype=np.float64),
     )

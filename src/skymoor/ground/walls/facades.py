@@ -21,7 +21,7 @@ GUESS_DOWN_M = 0.5
 
 @dataclass(frozen=True)
 class FacadeOptions:
-    """Orthophotos of walls.
+    """Orthophotos of walls; lengths are in the unit of the frame of wall and cameras, metres by default.
 
     Attributes:
         tolerance_m: a photo shows a point of the wall unless its depth there is further than this from the wall.

@@ -41,14 +41,14 @@ def _row(pair: FacadePair, width: int) -> Image:
     shown = pair.ground.mask | pair.airborne.mask
     rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
     window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    near, far = (np.where(r.mask[..., None], r.rgb, 40).astype(np.uint8)[window] for r in (pair.ground, pair.airborne))
-    h, w = near.shape[:2]
+    images = [np.where(r.mask[..., None], r.rgb, 40).astype(np.uint8)[window] for r in (pair.ground, pair.airborne)]
+    h, w = images[0].shape[:2]
     cell = max(8, h // 5)
     v, u = np.mgrid[:h, :w] // cell
-    mixed = np.where(((u + v) % 2 == 0)[..., None], near, far)
+    mixed = np.where(((u + v) % 2 == 0)[..., None], *images)
     each = (width - 2 * GAP_PX) // 3
     height = max(1, round(h * each / w))
     gap = np.full((height, GAP_PX, 3), 255, np.uint8)
-    parts = [cv2.resize(part, (each, height), interpolation=cv2.INTER_AREA) for part in (near, far, mixed)]
+    parts = [cv2.resize(part, (each, height), interpolation=cv2.INTER_AREA) for part in (*images, mixed)]
     row = np.concatenate([parts[0], gap, parts[1], gap, parts[2]], axis=1)
     return np.concatenate([row, np.full((GAP_PX, row.shape[1], 3), 255, np.uint8)])

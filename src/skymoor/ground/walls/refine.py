@@ -70,9 +70,9 @@ def refine_pose(
 def perturbed(pose: Similarity, options: PerturbationOptions | None = None) -> list[Similarity]:
     """The same pose shifted in plan, in all directions and by all lengths of the options."""
     options = options or PerturbationOptions()
-    turns = 2 * np.pi * GOLDEN * np.arange(options.count)
+    angles = 2 * np.pi * GOLDEN * np.arange(options.count)
     lengths = np.linspace(options.min_m, options.max_m, options.count)
-    shifts = lengths[:, None] * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(options.count)])
+    shifts = lengths[:, None] * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(options.count)])
     return [Similarity(1.0, np.eye(3), shift) @ pose for shift in shifts]
 
 
@@ -86,6 +86,6 @@ class _Near:
 
     def at(self, x: Array) -> Similarity:
         """The pose that is this far from the start in east, north, up, rotation and scale."""
-        move = x * self.steps
-        scale, turn = float(np.exp(move[4])), Rotation.from_rotvec([0.0, 0.0, float(move[3])]).as_matrix()
-        return Similarity(scale, turn, self.pivot + move[:3] - scale * turn @ self.pivot) @ self.start
+        step = x * self.steps
+        scale, rotation = float(np.exp(step[4])), Rotation.from_rotvec([0.0, 0.0, float(step[3])]).as_matrix()
+        return Similarity(scale, rotation, self.pivot + step[:3] - scale * rotation @ self.pivot) @ self.start

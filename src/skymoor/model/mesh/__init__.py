@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth maps to a mesh that can be rendered."""
+"""Mesh model, built from depth maps."""
 
 from skymoor.model.mesh.mesh import MeshBuilder, MeshModel
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Open3D's volume, behind one function."""
+"""TSDF fusion with Open3D."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def fuse_mesh(
     min_weight: float,
     progress: Progress,
 ) -> tuple[Array32, NDArray[np.int32]]:
-    """Truncated signed distance volume (Curless and Levoy 1996) of depth maps, as vertices (n, 3) and triangles (m, 3).
+    """Fuse depth maps by truncated signed distances (Curless and Levoy 1996): vertices (n, 3) and triangles (m, 3).
 
     Raises:
-        DegenerateGeometry: the depth maps hold no surface.
+        DegenerateGeometry: the depth maps have no common surface.
     """
     if not any(use.any() for use in usable):
-        raise DegenerateGeometry("no depth map holds a depth that is certain enough")
+        raise DegenerateGeometry("no depth map has a depth of sufficient certainty")
     o3d = open3d()
     core = o3d.core
     device = core.Device("CPU:0")
@@ -39,7 +39,7 @@ def fuse_mesh(
         depth = np.where(use, depth_map.depth, 0).astype(np.float32)
         if depth.any():
             image = o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(depth[..., None])))
-            # Open3D takes the pixel by cutting off the fraction, so the first one's centre is at 0.5 as it is for us.
+            # Open3D truncates pixel coordinates, so the first pixel's centre is at 0.5, as in this project.
             matrix = core.Tensor(depth_map.camera.intrinsics.matrix())
             pose = core.Tensor(depth_map.camera.cam_from_world.matrix())
             far = float(depth.max()) * 1.01
@@ -48,8 +48,8 @@ def fuse_mesh(
         progress(done + 1, len(maps))
     try:
         mesh = volume.extract_triangle_mesh(weight_threshold=min_weight)
-    except RuntimeError as error:  # how Open3D says that the mesh is empty
-        raise DegenerateGeometry("the depth maps hold no common surface") from error
+    except RuntimeError as error:  # raised by Open3D for an empty mesh
+        raise DegenerateGeometry("the depth maps have no common surface") from error
     if "positions" not in mesh.vertex or "indices" not in mesh.triangle or not len(mesh.triangle.indices):
-        raise DegenerateGeometry("the depth maps hold no common surface")
+        raise DegenerateGeometry("the depth maps have no common surface")
     return mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy().astype(np.int32)

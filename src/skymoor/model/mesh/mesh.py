@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mesh model: depth maps fused to a surface, cast from above, coloured from the photos."""
+"""The mesh model: depth maps fused to a surface, rendered by ray casting, coloured from the photos."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ class MeshBuilder:
     Attributes:
         voxel_px: edge of a voxel in pixels of the depth maps.
         trunc_voxels: truncation of the signed distance, in voxels.
-        min_weight: depth maps that must have seen a voxel.
-        max_sigma_ratio: depths less certain than this share of themselves are not fused.
-        max_voxels_across: bounds the memory for very large sites.
+        min_weight: least number of depth maps that observe a voxel.
+        max_sigma_ratio: depths with a larger standard deviation, as a fraction of depth, are not fused.
+        max_voxels_across: largest number of voxels along the site's side; bounds memory.
+        blend: how renders are coloured.
     """
 
     voxel_px: float = 2.0
@@ -49,7 +50,7 @@ class MeshBuilder:
         progress: Progress = no_progress,
         checkpoint: Path | None = None,
     ) -> MeshModel:
-        """Fuse, which takes seconds and needs no `checkpoint`; see `SceneBuilder`."""
+        """Fuse the depth maps; takes seconds and ignores `checkpoint`; see `SceneBuilder`."""
         if not depths:
             raise DegenerateGeometry("no photo has a depth map")
         footprints = [np.median(m.depth[np.isfinite(m.depth)]) / m.camera.intrinsics.fx for m in depths]
@@ -88,17 +89,17 @@ class MeshModel:
         return RayCaster(self.vertices, self.triangles)
 
     def render(self, view: View, *, progress: Progress = no_progress) -> Render:
-        """Cast, fill what no ray hits from nearby (confidence 0), colour and judge; see `SceneModel`."""
+        """Cast rays, fill holes from nearby (confidence 0), blend colours and confidence; see `SceneModel`."""
         xyz = self._cast(view)
         known = np.isfinite(xyz[..., 2])
-        filled = _fill_holes(xyz, known, reach_px=0.03 * max(view.shape))
+        filled = _fill_holes(xyz, known, radius_px=0.03 * max(view.shape))
         blend = Blend(filled, view.view_from_level[2], self.blend)
         for done, depth_map in enumerate(self.maps):
             blend.add(depth_map, self._z_buffer(depth_map))
             progress(done + 1, len(self.maps))
         rgb, confidence = blend.result()
         confidence[~known] = 0
-        filled[~blend.seen] = np.nan
+        filled[~blend.covered] = np.nan
         return Render(view, rgb, filled, confidence)
 
     def _cast(self, view: View) -> Array32:
@@ -115,7 +116,7 @@ class MeshModel:
         return np.asarray(origins + t[..., None] * direction, dtype=np.float32)
 
     def _z_buffer(self, depth_map: DepthMap, reduce: int = 3) -> Array32:
-        """z-depth of the mesh in a photo, at a third of its size, infinite where the mesh is not."""
+        """z-depth of the mesh in a photo at 1/`reduce` of its size, infinite where no ray hits."""
         i = depth_map.camera.intrinsics
         small = i.resized(max(1, i.width // reduce), max(1, i.height // reduce))
         u, v = np.meshgrid(np.arange(small.width) + 0.5, np.arange(small.height) + 0.5)
@@ -127,26 +128,27 @@ class MeshModel:
 _model: type[SceneModel] = MeshModel
 
 
-def _fill_holes(xyz: Array32, known: NDArray[np.bool_], reach_px: float) -> Array32:
-    """Give pixels without a surface the height around them, smoothed, so that they can be coloured."""
+def _fill_holes(xyz: Array32, known: NDArray[np.bool_], radius_px: float) -> Array32:
+    """Give pixels without a surface the smoothed depth of their surroundings, so that they can be coloured."""
     if known.all() or not known.any():
         return xyz.copy()
     distance, (rows, columns) = distance_transform_edt(~known, return_indices=True)
     nearest = xyz[rows, columns]
-    reach = distance <= reach_px
+    fillable = distance <= radius_px
     smooth = cv2.blur(nearest, (15, 15))
-    filled = np.where(known[..., None], xyz, np.where(reach[..., None], smooth, np.nan)).astype(np.float32)
-    # Only the height is borrowed: the ray itself is known everywhere.
+    filled = np.where(known[..., None], xyz, np.where(fillable[..., None], smooth, np.nan)).astype(np.float32)
+    # Only the depth is interpolated: the rays are known everywhere.
     return _on_rays(filled, xyz, known)
 
 
 def _on_rays(filled: Array32, xyz: Array32, known: NDArray[np.bool_]) -> Array32:
-    """For an affine grid of rays the point at a borrowed depth follows from the plan coordinates of the known ones."""
+    """Positions at interpolated depths, on the affine grid of rays fitted to the known points."""
     h, w = known.shape
     rows, columns = np.nonzero(known)
-    pick = slice(None, None, max(1, len(rows) // 2000))
-    design = np.column_stack([columns[pick], rows[pick], xyz[rows[pick], columns[pick], 2], np.ones(len(rows[pick]))])
-    plan, *_ = np.linalg.lstsq(design, xyz[rows[pick], columns[pick], :2].astype(np.float64), rcond=None)
+    subset = slice(None, None, max(1, len(rows) // 2000))
+    rows, columns = rows[subset], columns[subset]
+    design = np.column_stack([columns, rows, xyz[rows, columns, 2], np.ones(len(rows))])
+    plan, *_ = np.linalg.lstsq(design, xyz[rows, columns, :2].astype(np.float64), rcond=None)
     u, v = np.meshgrid(np.arange(w), np.arange(h))
     z = filled[..., 2]
     fitted = u[..., None] * plan[0] + v[..., None] * plan[1] + z[..., None] * plan[2] + plan[3]

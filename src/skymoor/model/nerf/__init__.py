@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth maps and photos to a radiance field that can be rendered. `model.NerfModel` is what the builder returns."""
+"""Radiance field, trained from photos and depth maps. `model.NerfModel` is what the builder returns."""
 
 from skymoor.model.nerf.builder import NerfBuilder
 from skymoor.model.nerf.options import HUGE, LossWeights, PriorOptions, Sizes, UncertaintyOptions

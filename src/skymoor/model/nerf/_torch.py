@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How this package uses PyTorch on the machine that it is on."""
+"""PyTorch settings: threads and precision."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Precision = AbstractContextManager[object]
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Work with so many threads, then with as many as before; 0 leaves the number as it is."""
+    """Set PyTorch's number of threads within the context; 0 leaves it unchanged."""
     before = torch.get_num_threads()
     torch.set_num_threads(count or before)
     try:
@@ -23,11 +23,11 @@ def torch_threads(count: int) -> Iterator[None]:
 
 
 def mlp_precision(device: torch.device) -> Precision:
-    """Half precision for the small networks, only where the hardware computes in it; elsewhere it is emulated."""
+    """Half precision for the small networks where the hardware supports it natively; full precision elsewhere."""
     if device.type == "cuda":
         return torch.autocast("cuda", torch.bfloat16) if torch.cuda.is_bf16_supported() else nullcontext()
-    able = any(
+    supported = any(
         bool(getattr(torch.cpu, name, lambda: False)())
         for name in ("_is_avx512_bf16_supported", "_is_amx_tile_supported")
     )
-    return torch.autocast("cpu", torch.bfloat16) if able else nullcontext()
+    return torch.autocast("cpu", torch.bfloat16) if supported else nullcontext()

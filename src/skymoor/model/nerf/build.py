@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From depth maps to a trained field: the order of the steps."""
+"""Building a radiance field from depth maps: prior, exposure, training, uncertainty."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from skymoor.types import Array, Array32, DepthMap, Progress, no_progress
 
 SPLAT_POINTS = 1_500_000
 GAIN_POINTS = 400_000
-PLACE_PX = 4.0
+GAIN_CELL_PX = 4.0
 
 
 def build_model(
@@ -54,19 +54,19 @@ def _build(
     checkpoint: Path | None,
     device: torch.device,
 ) -> NerfModel:
-    sure = builder.prior.max_sigma_ratio
-    covered = _covered(maps, sure)
+    max_sigma_ratio = builder.prior.max_sigma_ratio
+    covered = _covered(maps, max_sigma_ratio)
     box = make_box(covered)
     pixel = float(np.median([np.nanmedian(m.depth) / m.camera.intrinsics.fx for m in maps]))
-    image, xyz, rgb = _coloured_points(maps, box, sure)
-    log_gains = _log_gains(image, xyz, rgb, len(maps), PLACE_PX * pixel * INNER_PER_LEVEL)
+    image, xyz, rgb = _coloured_points(maps, box, max_sigma_ratio)
+    log_gains = _log_gains(image, xyz, rgb, len(maps), GAIN_CELL_PX * pixel * INNER_PER_LEVEL)
     field, proposal = _untrained(builder, maps, box, pixel * INNER_PER_LEVEL, device)
     field.splat(
         box.unit_from_inner(torch.from_numpy(xyz).to(device)),
         torch.from_numpy((rgb / 255 / np.exp(log_gains[image])).astype(np.float32)).to(device),
     )
     half, full = (
-        make_pixels(maps, box, max_sigma_ratio=sure, monocular=monocular, halve=halve, device=device)
+        make_pixels(maps, box, max_sigma_ratio=max_sigma_ratio, monocular=monocular, halve=halve, device=device)
         for halve in (True, False)
     )
     gains = torch.tensor(log_gains, dtype=torch.float32, device=device)
@@ -83,8 +83,8 @@ def _build(
     return NerfModel(
         field=field.eval(),
         proposal=proposal,
-        maps=tuple(_exposed(m, gain) for m, gain in zip(maps, log_gains, strict=True)),
-        surface_points=_covered(maps, sure, min_maps=2),
+        maps=tuple(_exposure_corrected(m, gain) for m, gain in zip(maps, log_gains, strict=True)),
+        surface_points=_covered(maps, max_sigma_ratio, min_maps=2),
         pixel=pixel,
         blend=builder.blend,
         uncertainty=builder.uncertainty,
@@ -96,9 +96,9 @@ def _build(
 
 
 def _covered(maps: Sequence[DepthMap], max_sigma_ratio: float, min_maps: int = 3) -> Array:
-    """Points that several maps measured; two must do where there are no three."""
+    """Points measured by at least `min_maps` maps, or by two where there are too few."""
     if len(maps) < 2:
-        raise DegenerateGeometry("a radiance field needs the depth maps of two photos at least")
+        raise DegenerateGeometry("a radiance field needs the depth maps of at least two photos")
     try:
         return covered_points(maps, max_sigma_ratio, min_maps=min_maps)
     except DegenerateGeometry:
@@ -130,18 +130,18 @@ def _coloured_points(
     return image, xyz, np.concatenate([colours for _, colours in parts])
 
 
-def _log_gains(image: np.ndarray, xyz: Array32, rgb: np.ndarray, n_images: int, place_size: float) -> Array:
-    cells = np.floor(xyz / place_size).astype(np.int64)
+def _log_gains(image: np.ndarray, xyz: Array32, rgb: np.ndarray, n_images: int, cell_size: float) -> Array:
+    cells = np.floor(xyz / cell_size).astype(np.int64)
     cells -= cells.min(axis=0)
-    place = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
-    # Black and burnt out pixels tell nothing of the exposure.
+    cell = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    # Black and saturated pixels carry no information on exposure.
     usable = np.flatnonzero(((rgb > 12) & (rgb < 243)).all(axis=1))
     usable = usable[:: max(1, len(usable) // GAIN_POINTS)]
-    return exposure_log_gains(image[usable], place[usable], np.log(rgb[usable] / 255), n_images)
+    return exposure_log_gains(image[usable], cell[usable], np.log(rgb[usable] / 255), n_images)
 
 
-def _exposed(depth_map: DepthMap, log_gain: Array) -> DepthMap:
-    """The photo at the common exposure."""
+def _exposure_corrected(depth_map: DepthMap, log_gain: Array) -> DepthMap:
+    """The photo corrected to the common exposure."""
     rgb = np.clip(depth_map.rgb / np.exp(log_gain) + 0.5, 0, 255).astype(np.uint8)
     return replace(depth_map, rgb=rgb)
 
@@ -150,16 +150,16 @@ def _in_level(report: Report | None) -> Report | None:
     if report is None:
         return None
 
-    def told(found: Mapping[str, float]) -> None:
-        report({**found, "depth_error": found["depth_error"] / INNER_PER_LEVEL})
+    def report_in_level(values: Mapping[str, float]) -> None:
+        report({**values, "depth_error": values["depth_error"] / INNER_PER_LEVEL})
 
-    return told
+    return report_in_level
 
 
 def _key(builder: NerfOptions, maps: Sequence[DepthMap]) -> str:
-    """What a checkpoint belongs to: all options but the time, and the depth maps."""
-    text = hashlib.sha256(repr(replace(builder, budget_s=0.0)).encode())
+    """Hash of all options except the time budget, and of the depth maps: identifies a checkpoint."""
+    digest = hashlib.sha256(repr(replace(builder, budget_s=0.0)).encode())
     for depth_map in maps:
-        text.update(np.ascontiguousarray(depth_map.depth[::16, ::16]).tobytes())
-        text.update(np.ascontiguousarray(depth_map.rgb[::16, ::16]).tobytes())
-    return text.hexdigest()
+        digest.update(np.ascontiguousarray(depth_map.depth[::16, ::16]).tobytes())
+        digest.update(np.ascontiguousarray(depth_map.rgb[::16, ::16]).tobytes())
+    return digest.hexdigest()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What builds a radiance field. PyTorch is loaded when it is called."""
+"""Builder of radiance fields; PyTorch is imported on the first call."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class NerfBuilder(NerfOptions):
-    """Builds a `NerfModel`: a radiance field that is supervised by depth maps."""
+    """Builds a `NerfModel`: a radiance field supervised by photos and depth maps."""
 
     def ready(self) -> tuple[Path, ...]:
         """No files are read; raises `BackendUnavailable` where PyTorch is missing."""
@@ -39,16 +39,16 @@ class NerfBuilder(NerfOptions):
         """Train; see `SceneBuilder`.
 
         Args:
-            component: the levelled reconstruction that the depth maps are of.
-            depths: at least a few that see the same ground.
-            progress: called with thousandths of the training.
+            component: the levelled reconstruction to which the depth maps belong.
+            depths: depth maps with overlapping coverage, at least two.
+            progress: called with the progress of training in thousandths.
             monocular: relative depths (h, w) of the photos of `depths`, larger is farther, None where there is none.
-            report: told now and then of step, psnr_db, depth_error (level units) and left_s.
-            checkpoint: file to keep an unfinished training in, and to take it up from; it is removed at the end.
+            report: called periodically with step, psnr_db, depth_error (level units) and left_s.
+            checkpoint: file from which interrupted training resumes; it is removed at the end.
 
         Raises:
-            DegenerateGeometry: the depth maps hold no common surface, or the training diverged.
-            BackendUnavailable: PyTorch is missing, or CUDA is asked for and missing.
+            DegenerateGeometry: the depth maps have no common surface, or the training diverged.
+            BackendUnavailable: PyTorch is missing, or CUDA is requested and missing.
         """
         from skymoor.model.nerf.build import build_model
 

@@ -24,8 +24,8 @@ HARMONICS = 9  # spherical harmonics up to degree 2
 class Field(nn.Module):
     """density = exp(network + prior), colour = sigmoid(network + the finest level's first three features).
 
-    The features of the finest level bypass the network, so that colours of measured points can be written into them
-    before training. The networks' last layers begin at zero: an untrained field is the prior with those colours.
+    Features of the finest level bypass the network, so that colours of measured points can be written into them before
+    training. The networks' last layers start at zero: an untrained field is the prior with those colours.
     """
 
     prior: Tensor
@@ -51,31 +51,31 @@ class Field(nn.Module):
         self.appearance = nn.Parameter(0.01 * torch.randn(n_images, sizes.appearance, generator=generator))
 
     def to_state(self) -> dict[str, Any]:
-        """What the field can be made of again, in main memory: a machine without CUDA must be able to read it."""
+        """State from which the field can be restored, on the CPU, so that it is readable without CUDA."""
         tensors = {name: tensor.detach().cpu() for name, tensor in self.state_dict().items()}
-        made_of = {"sizes": self.sizes, "box": self.box, "pixel_inner": self.pixel_inner}
-        return {**made_of, "n_images": len(self.log_gain), "tensors": tensors}
+        configuration = {"sizes": self.sizes, "box": self.box, "pixel_inner": self.pixel_inner}
+        return {**configuration, "n_images": len(self.log_gain), "tensors": tensors}
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> Field:
-        """The field of a state."""
+        """Restore a field from `to_state`."""
         tensors = state["tensors"]
         prior = tensors["prior"][0, 0]
-        made_of = (state["sizes"], state["box"], state["pixel_inner"], prior, state["n_images"])
-        field = cls(*made_of, torch.Generator().manual_seed(0))
+        configuration = (state["sizes"], state["box"], state["pixel_inner"], prior, state["n_images"])
+        field = cls(*configuration, torch.Generator().manual_seed(0))
         field.load_state_dict(tensors)
         return field
 
     def log_prior(self, unit: Tensor) -> Tensor:
         """The prior (n,) at unit coordinates (n, 3)."""
-        place = unit * unit.new_tensor([2.0, 2.0, 2.0 / self.box.height]) - 1
-        found = functional.grid_sample(
-            self.prior, place[None, None, None], mode="bilinear", padding_mode="border", align_corners=False
+        position = unit * unit.new_tensor([2.0, 2.0, 2.0 / self.box.height]) - 1
+        sampled = functional.grid_sample(
+            self.prior, position[None, None, None], mode="bilinear", padding_mode="border", align_corners=False
         )
-        return found.view(-1)
+        return sampled.view(-1)
 
     def density(self, unit: Tensor, draws: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
-        """Density (n,) per inner unit, what the colour network needs (n, geometry), and bypassed colours (n, 3)."""
+        """Density (n,) per inner unit, input of the colour network (n, geometry), and bypassed colour logits (n, 3)."""
         features = self.grid(unit, draws)
         with mlp_precision(unit.device):
             out = self.density_net(features)
@@ -88,13 +88,13 @@ class Field(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Density (n,) and colour (n, 3) in [0, 1] at unit coordinates, seen along directions (n, 3).
 
-        `image` (n,) chooses a photo's appearance; without it the mean of all is shown.
+        `image` (n,) selects each point's appearance vector; without it their mean is used.
         """
         density, geometry, bypass = self.density(unit, draws)
         inputs = [geometry]
         if self.sizes.appearance:
-            look = self.appearance.mean(dim=0).expand(len(unit), -1) if image is None else self.appearance[image]
-            inputs.append(look)
+            appearance = self.appearance.mean(dim=0).expand(len(unit), -1) if image is None else self.appearance[image]
+            inputs.append(appearance)
         if self.sizes.view_direction:
             inputs.append(harmonics(direction))
         with mlp_precision(unit.device):
@@ -102,7 +102,7 @@ class Field(nn.Module):
         return density, torch.sigmoid(logits.float() + bypass)
 
     def gains(self, image: Tensor) -> Tensor:
-        """Learned factors (n, 3) on the colours of photos, of mean 1 over all photos in the logarithm."""
+        """Learned gains (n, 3) on the colours of photos; their geometric mean over all photos is 1."""
         if self.sizes.appearance:
             return torch.ones(len(image), 3, device=image.device)
         return (self.log_gain - self.log_gain.mean(dim=0))[image].exp()

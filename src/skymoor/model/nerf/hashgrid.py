@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Multi-resolution hash encoding (Mueller et al. 2022, Instant NGP) in plain PyTorch.
 
-On a CPU the scatter of the backward pass costs most. There one corner of each cell is drawn with the probability of
-its trilinear weight and gets the whole gradient: right on average, and an eighth of the work.
+On a CPU the scatter of the backward pass dominates the cost. There, one corner of each cell is drawn with the
+probability of its trilinear weight and gets the whole gradient: unbiased, with an eighth of the work.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PRIMES = (2654435761 - 2**32, 805459861)  # of the spatial hash (Teschner et al.
 
 
 class HashGrid(nn.Module):
-    """Features of points in [0, 1] x [0, 1] x [0, height]; levels that fit into their table are not hashed."""
+    """Features of points in [0, 1] x [0, 1] x [0, height]; levels that fit into their table are stored densely."""
 
     scale: Tensor
     offset: Tensor
@@ -35,9 +35,9 @@ class HashGrid(nn.Module):
         corners = np.stack([cells + 2, cells + 2, np.ceil(cells * height) + 2], axis=1).astype(np.int64)
         limits = np.full(sizes.levels, 2**sizes.table_log2)
         limits[-1] = 2**sizes.finest_table_log2
-        whole = corners.prod(axis=1)
-        self.dense = int(np.cumprod(whole <= limits).sum())
-        entries = np.where(np.arange(sizes.levels) < self.dense, whole, limits)
+        dense_entries = corners.prod(axis=1)
+        self.dense = int(np.cumprod(dense_entries <= limits).sum())
+        entries = np.where(np.arange(sizes.levels) < self.dense, dense_entries, limits)
         self.features = sizes.features
         self.stochastic = not sizes.exact_backward
         self.finest_first = int(entries[:-1].sum())
@@ -59,8 +59,8 @@ class HashGrid(nn.Module):
     def forward(self, unit: Tensor, draws: Tensor | None = None) -> Tensor:
         """Features (n, width) of points (n, 3).
 
-        `draws` (n, 3), uniform in [0, 1), choose the corners that get the gradient, which then goes straight into
-        `table.grad`. Without them the result is differentiable as it is, in the points too.
+        `draws` (n, 3), uniform in [0, 1), select the corners that get the gradient, which is accumulated directly in
+        `table.grad`. Without them the result is differentiable, also with respect to the points.
         """
         index, weights, fraction = self._corners(unit)
         if draws is not None and self.stochastic and torch.is_grad_enabled():
@@ -72,25 +72,25 @@ class HashGrid(nn.Module):
         return features.view(len(unit), -1)
 
     def compile_look_up(self) -> None:
-        """Compile the look-up's arithmetic. Where that is impossible it stays as it is: nothing but speed is lost."""
+        """Compile the look-up; without a working compiler the eager version remains in use."""
         compiled = torch.compile(self._eager_corners, dynamic=True)
         probe = torch.full((1024, 3), 0.25, device=self.table.device)
         try:
             compiled(probe)
-        except Exception:  # whatever a missing compiler raises
+        except Exception:  # a missing compiler raises various types
             return
         self._corners = compiled
 
     def finest_corners(self, unit: Tensor) -> tuple[Tensor, Tensor]:
-        """Rows (n, 8) of the finest level's entries round points (n, 3), counted from `finest_first`, and weights."""
+        """Rows (n, 8) of the finest level's entries around points (n, 3), counted from `finest_first`, and weights."""
         index, weights, _ = self._corners(unit)
         return index[:, -1].long() - self.finest_first, weights[:, -1]
 
     def _eager_corners(self, unit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Table rows (n, levels, 8) of the corners round points, their weights, and the place in the cell (3, n, l)."""
-        place = unit.T[:, :, None] * self.scale
-        cell = place.detach().floor()
-        fraction = place - cell
+        """Table rows (n, levels, 8) of the corners around points, their weights, and cell fractions (3, n, levels)."""
+        position = unit.T[:, :, None] * self.scale
+        cell = position.detach().floor()
+        fraction = position - cell
         low = cell.to(torch.int32)
         x, y, z = low[0], low[1] * self.stride[0], low[2] * self.stride[1]
         xs, ys, zs = (x, x + 1), (y, y + self.stride[0]), (z, z + self.stride[1])
@@ -109,7 +109,7 @@ class HashGrid(nn.Module):
 
 
 class _OneCorner(torch.autograd.Function):
-    """Interpolation whose backward pass gives the gradient to one corner per cell, into the table's own buffer."""
+    """Interpolation whose backward pass adds the gradient to one corner per cell, in place in `table.grad`."""
 
     @staticmethod
     def forward(ctx: Any, table: Tensor, index: Tensor, weights: Tensor, fraction: Tensor, draws: Tensor) -> Tensor:
@@ -122,7 +122,7 @@ class _OneCorner(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, ...]:
         table: Tensor = ctx.table
-        # A dense gradient of the whole table in every step would cost more than all the rest.
+        # A dense gradient of the whole table in every step would dominate the cost.
         if table.grad is None:
             table.grad = torch.zeros_like(table)
         table.grad.index_add_(0, ctx.chosen, gradients[0].to(table.dtype))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The trained field as a model that can be rendered."""
+"""The trained radiance field as a scene model."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ MIN_OPACITY = 0.5
 class NerfModel:
     """A radiance field in the `level` frame, and the undistorted photos with their depths.
 
-    `texture` says where colours come from: "blend" takes them from the photos at the field's surface and asks the
-    field only where no photo looks, "field" asks the field everywhere. `dataclasses.replace` changes it.
+    `texture` is the source of colours: "blend" uses the photos at the field's surface, and the field only where no
+    photo covers it, "field" uses the field everywhere. `dataclasses.replace` changes it.
     """
 
     field: Field
@@ -47,7 +47,7 @@ class NerfModel:
     threads: int = 0
 
     def render(self, view: View, *, progress: Progress = no_progress) -> Render:
-        """Surface, colour and confidence; see `SceneModel`. xyz is NaN where most light passes or no photo looks."""
+        """Surface, colour and confidence; see `SceneModel`. xyz is NaN for low opacity and without any photo."""
         with torch_threads(self.threads):
             layers = self._layers(view, progress)
             xyz = self.field.box.level_from_inner(layers.xyz.cpu().numpy().astype(np.float64)).astype(np.float32)
@@ -58,14 +58,14 @@ class NerfModel:
                 blend.add(depth_map, self._z_buffers[done])
                 progress(done + 1, len(self.maps))
             rgb, agreement = blend.result()
-            own = np.clip(layers.rgb.cpu().numpy() * 255 + 0.5, 0, 255).astype(np.uint8)
+            field_rgb = np.clip(layers.rgb.cpu().numpy() * 255 + 0.5, 0, 255).astype(np.uint8)
             if self.texture == "field":
-                rgb = own
-            rgb = np.where(blend.seen[..., None], rgb, np.where(solid[..., None], own, 0))
-            sure = self._confidence(layers, agreement, view)
-            sure[~solid] = 0
-            xyz[~blend.seen] = np.nan
-        return Render(view, np.asarray(rgb, dtype=np.uint8), xyz, sure)
+                rgb = field_rgb
+            rgb = np.where(blend.covered[..., None], rgb, np.where(solid[..., None], field_rgb, 0))
+            certainty = self._confidence(layers, agreement, view)
+            certainty[~solid] = 0
+            xyz[~blend.covered] = np.nan
+        return Render(view, np.asarray(rgb, dtype=np.uint8), xyz, certainty)
 
     def field_colours(self, view: View, *, progress: Progress = no_progress) -> Image:
         """The field's own colours (h, w, 3) of a view."""
@@ -74,7 +74,7 @@ class NerfModel:
         return np.clip(layers.rgb.cpu().numpy() * 255 + 0.5, 0, 255).astype(np.uint8)
 
     def _layers(self, view: View, progress: Progress) -> Layers:
-        """What the field shows; it computes where `device` says, and is kept in main memory between machines."""
+        """Layers of a view, computed on `device`."""
         device = torch.device(torch_device(self.device))
         return render_layers(self.field.to(device), self.proposal.to(device), view, progress)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How large a radiance field is, how it is trained, and what its losses weigh."""
+"""Options of the radiance field: size, training, losses, prior and uncertainty."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from skymoor.model.blend import BlendOptions
 
 @dataclass(frozen=True)
 class Sizes:
-    """One preset. The defaults are for two CPU cores.
+    """Size and training of a field; the defaults are for two CPU cores.
 
     Attributes:
-        levels, features: of the hash encoding.
+        levels, features: number of levels of the hash encoding, and features per level.
         base_cells: cells of the coarsest level across the contracted site.
         finest_px: cell of the finest level, in pixels of the photos on the ground.
         table_log2, finest_table_log2: entries of a level, and of the finest one, as powers of two.
-        hidden, geometry: width of the density network, and how many values it hands to the colour network.
+        hidden, geometry: width of the density network, and the number of its outputs for the colour network.
         colour_hidden: width of the colour network.
-        appearance: length of a photo's appearance vector; 0 gives each photo three gains instead.
-        view_direction: whether colour depends on the direction of sight.
-        exact_backward: gradients to all eight corners of a cell, not to one drawn at random.
-        rays, samples: of a training step.
-        bins: places along a ray at which the proposal is looked up.
-        render_samples, refine_samples: per ray of the first pass of a render, and of the following ones.
+        appearance: length of a photo's appearance vector; 0 uses three gains per photo instead.
+        view_direction: whether colour depends on the viewing direction.
+        exact_backward: gradients to all eight corners of a cell, not to a random one.
+        rays, samples: rays per training step, and samples per ray.
+        bins: samples of the proposal along a ray.
+        render_samples, refine_samples: samples per ray in the first pass of a render, and in the following ones.
         iterations: training steps at most.
-        passes: training also ends when each pixel has been looked at so many times on average.
+        passes: training also ends when each pixel has been used this many times on average.
         table_rate, mlp_rate: learning rates of the encoding and of the networks.
     """
 
@@ -57,7 +57,7 @@ class Sizes:
     def __post_init__(self) -> None:
         counts = (self.levels, self.base_cells, self.rays, self.iterations, self.hidden, self.colour_hidden)
         if min(counts) < 1 or self.passes <= 0 or self.features < 3 or self.samples < 2 or self.bins < 4:
-            raise ValueError("sizes of a field are positive, with 3 features, 2 samples and 4 bins at least")
+            raise ValueError("sizes of a field must be positive, with at least 3 features, 2 samples and 4 bins")
 
 
 HUGE = Sizes(
@@ -86,16 +86,16 @@ HUGE = Sizes(
 
 @dataclass(frozen=True)
 class LossWeights:
-    """What each loss weighs; 0 switches it off. See `losses` for what they are.
+    """Weights of the losses, 0 to switch one off; see `losses`.
 
     Attributes:
-        photometric: of the difference of colours.
-        depth: of the distribution of weight around a measured depth.
-        line_of_sight: of weight before a measured depth.
-        distortion: of weight that is spread along a ray.
-        opacity: of light that comes through the ground.
-        ranking: of pairs of pixels whose order in depth contradicts a monocular depth.
-        depth_sigma_px: least standard deviation of a measured depth, in pixels on the ground.
+        photometric: difference of colours.
+        depth: termination distribution against a measured depth.
+        line_of_sight: termination in front of a measured depth.
+        distortion: spread of the termination along a ray.
+        opacity: transmittance through the ground.
+        ranking: depth order of pairs of pixels against monocular depths.
+        depth_sigma_px: lower bound of the standard deviation of a measured depth, in pixels on the ground.
     """
 
     photometric: float = 1.0
@@ -108,20 +108,20 @@ class LossWeights:
 
     def __post_init__(self) -> None:
         if min(vars(self).values()) < 0:
-            raise ValueError("weights of losses are not negative")
+            raise ValueError("the weights of losses must not be negative")
 
 
 @dataclass(frozen=True)
 class PriorOptions:
-    """How depth maps become a prior on density.
+    """The prior on density from depth maps.
 
     Attributes:
         cell_px: edge of a cell, in pixels of the photos on the ground.
-        max_cells_across: bounds the memory for very large sites.
-        band_cells: a depth speaks about the surface so many cells before and behind it.
-        slope: by how much the logarithm of density grows per cell at a surface.
-        unknown, free: logarithms of density, on top of the field's own, where nothing is known and in the air.
-        max_sigma_ratio: depths less certain than this share of themselves do not count.
+        max_cells_across: largest number of cells along the site's side; bounds memory.
+        band_cells: half width of the band around a measured depth, in cells.
+        slope: growth of the logarithm of density per cell at a surface.
+        unknown, free: logarithms of density, on top of the field's own, in unknown and in free space.
+        max_sigma_ratio: depths of a larger relative standard deviation are not used.
     """
 
     cell_px: float = 2.0
@@ -135,14 +135,14 @@ class PriorOptions:
 
 @dataclass(frozen=True)
 class UncertaintyOptions:
-    """How uncertainty is estimated, and what it costs in confidence.
+    """Estimation of uncertainty, and its effect on the confidence.
 
     Attributes:
-        rays: pixels that are asked; 0 leaves Bayes' Rays out.
+        rays: pixels that are used; 0 omits Bayes' Rays.
         cells_across: vertices of the deformation across the contracted site.
-        widest_px: standard deviation of the deformation before any photo is asked, in pixels on the ground.
-        spread_px, bayes_px: a standard deviation of depth along a ray, and one by Bayes' Rays, that halve the
-            confidence, in pixels on the ground.
+        widest_px: prior standard deviation of the deformation, in pixels on the ground.
+        spread_px, bayes_px: standard deviations of depth along a ray, and by Bayes' Rays, that halve the confidence,
+            in pixels on the ground.
     """
 
     rays: int = 65536
@@ -154,19 +154,19 @@ class UncertaintyOptions:
 
 @dataclass(frozen=True)
 class NerfOptions:
-    """How a radiance field that is supervised by depth maps is built.
+    """A radiance field supervised by depth maps.
 
     Attributes:
-        preset: which sizes are taken, `small` for a few CPU cores or `huge` for a GPU.
-        small, huge: those sizes.
-        iterations: training steps at most; 0 leaves them to the preset.
-        budget_s: seconds of training on the clock; 0 leaves it to the preset's number of steps. What the clock ends
-            cannot be repeated to the bit.
-        device: `auto` takes CUDA where there is one.
-        threads: of PyTorch on a CPU; 0 leaves its own choice.
-        seed: of everything random.
-        compile: compile the encoding; takes seconds and a C++ compiler, and is left out silently without one.
-        texture: whose colours renders show: of the photos ("blend"), of the field, or as the preset has it.
+        preset: `small` for a few CPU cores or `huge` for a GPU.
+        small, huge: sizes of the presets.
+        iterations: training steps at most; 0 for those of the preset.
+        budget_s: limit of the training time in seconds; 0 for none. A training that time ends is not reproducible bit
+            by bit.
+        device: `auto` uses CUDA where available.
+        threads: of PyTorch on a CPU; 0 for its default.
+        seed: of all random numbers.
+        compile: compile the encoding; needs a C++ compiler and some seconds, and is skipped without one.
+        texture: source of the colours of renders: the photos ("blend"), the field, or that of the preset.
         losses, prior, blend, uncertainty: of the parts.
     """
 
@@ -187,13 +187,13 @@ class NerfOptions:
 
     @property
     def sizes(self) -> Sizes:
-        """Those of the preset."""
+        """The sizes of the preset, with `iterations` if given."""
         sizes = self.small if self.preset == "small" else self.huge
         return replace(sizes, iterations=self.iterations) if self.iterations else sizes
 
     @property
     def colours(self) -> Literal["blend", "field"]:
-        """Whose colours renders show."""
+        """Source of the colours of renders."""
         if self.texture == "auto":
             return "blend" if self.preset == "small" else "field"
         return self.texture

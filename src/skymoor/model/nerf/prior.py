@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the depth maps alone say about density, before any training.
+"""Prior on density from the depth maps, before training.
 
-On a CPU a field sees a fraction of all pixels: most of its accuracy is what it starts with. Each cell of a grid asks
-every depth map: do you look through me, or am I at your surface? A depth map that sees a surface in front of the cell
-says nothing. The mean signed distance of the answers puts the surface between cells, as in a truncated signed distance
-volume (Curless and Levoy 1996).
+On a CPU the training uses a fraction of all pixels, and most of the accuracy comes from the initial field. Each depth
+map votes for each cell of a grid: free space or surface; no vote if the cell is behind its surface. The mean signed
+distance of the votes locates the surface between cells, as in a truncated signed distance volume (Curless and Levoy
+1996).
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from skymoor.model.nerf.box import INNER_PER_LEVEL, RIM, Box
 from skymoor.model.nerf.options import PriorOptions
 from skymoor.types import DepthMap, Progress
 
-BASE_LOG_DENSITY = -3.5  # of an untrained field, per inner unit: thin enough to see through the slab
+BASE_LOG_DENSITY = -3.5  # of an untrained field, per inner unit: low enough for the slab to be transparent
 CHUNK_CELLS = 1 << 19
 
 
 @dataclass(frozen=True, eq=False)
 class Votes:
-    """Hypotheses per cell (nz, ny, nx): depth maps that look through it, that end near it, and the sum of the signed
-    distances, in cells and positive before a surface, that all of them gave, cut off at the width of the band."""
+    """Votes per cell (nz, ny, nx): number of depth maps for free space and for surface, and the sum of their signed
+    distances in cells, positive in front of the surface, truncated at the width of the band."""
 
     free: Tensor
     surface: Tensor
@@ -59,7 +59,7 @@ def cast_votes(
     device: torch.device,
     progress: Progress,
 ) -> Votes:
-    """Ask every depth map about every cell."""
+    """Votes of all depth maps for all cells of the grid."""
     cell = box.inner_per_unit / shape[2]
     views = [_View(depth_map, box, options, device) for depth_map in maps]
     total = math.prod(shape)
@@ -82,13 +82,13 @@ def cast_votes(
 
 
 class _View:
-    """A depth map that answers about cells."""
+    """A depth map on the device, for votes."""
 
     def __init__(self, depth_map: DepthMap, box: Box, options: PriorOptions, device: torch.device) -> None:
         camera, i = depth_map.camera, depth_map.camera.intrinsics
         with np.errstate(invalid="ignore"):
-            sure = depth_map.sigma < options.max_sigma_ratio * depth_map.depth
-        depth = np.where(sure, depth_map.depth * INNER_PER_LEVEL, np.nan).astype(np.float32)
+            certain = depth_map.sigma < options.max_sigma_ratio * depth_map.depth
+        depth = np.where(certain, depth_map.depth * INNER_PER_LEVEL, np.nan).astype(np.float32)
         self._depth = torch.from_numpy(depth).to(device).view(-1)
         self._size = (i.width, i.height)
         matrix = i.matrix() @ camera.cam_from_world.rotation
@@ -96,7 +96,7 @@ class _View:
         self._centre = torch.tensor(box.inner_from_level(camera.centre), dtype=torch.float32, device=device)
 
     def gap(self, xyz: Tensor) -> Tensor:
-        """Depth of the surface minus the depth of points (n, 3), NaN where nothing is known."""
+        """Depth of the surface minus the depth of points (n, 3), NaN where unknown."""
         u, v, z = ((xyz - self._centre) @ self._px_from_inner.T).unbind(dim=-1)
         width, height = self._size
         column, row = (u / z).long(), (v / z).long()
@@ -107,23 +107,23 @@ class _View:
 
 
 def log_density_prior(votes: Votes, cell: float, options: PriorOptions) -> Tensor:
-    """What is added to the logarithm of a field's density, (nz, ny, nx), to be interpolated linearly.
+    """Offset (nz, ny, nx) of the logarithm of a field's density, to be interpolated linearly.
 
     `cell` is the edge of a cell in inner units.
 
-    Air needs more than three depth maps that look through it, and four times as many as end there; a cell beside a
-    surface is not air. At a surface the prior grows by `slope` per cell and is such that an untrained field has its
-    median depth there: density s exp(s t) has let half of the light through where it has reached s ln 2.
+    Free space needs more than three votes, and four times as many as for surface; a cell next to a surface is not free.
+    At a surface the prior grows by `slope` per cell such that an untrained field has its median depth there: with
+    density s exp(s t), transmittance is 1/2 where density is s ln 2.
     """
     free, surface = votes.free, votes.surface
-    answers = (free + surface).clamp(min=1)
-    depth = -votes.distance / answers  # in cells, positive behind the surface
+    votes_total = (free + surface).clamp(min=1)
+    depth = -votes.distance / votes_total  # in cells, positive behind the surface
     level = math.log(math.log(2) * options.slope / cell) - BASE_LOG_DENSITY
     ramp = (level + options.slope * depth).clamp(options.free, level + options.slope)
-    trust = (surface / 2).clamp(max=1)  # a single depth map may be wrong
-    prior = torch.where(surface > 0, options.unknown + trust * (ramp - options.unknown), options.unknown)
-    air = (free > 3) & (free > 4 * surface)
-    near = functional.max_pool3d(((surface > 0) & ~air).float()[None, None], 3, 1, 1)[0, 0] > 0
-    prior = torch.where(air & ~near, torch.full_like(prior, options.free), prior)
-    # Beside a surface air keeps its distance's own value, so that the ramp stays straight between cells.
-    return torch.where(air & near, ramp, prior)
+    weight = (surface / 2).clamp(max=1)  # a single depth map may be wrong
+    prior = torch.where(surface > 0, options.unknown + weight * (ramp - options.unknown), options.unknown)
+    empty = (free > 3) & (free > 4 * surface)
+    near = functional.max_pool3d(((surface > 0) & ~empty).float()[None, None], 3, 1, 1)[0, 0] > 0
+    prior = torch.where(empty & ~near, torch.full_like(prior, options.free), prior)
+    # Next to a surface free cells keep the value of their distance, so that the ramp is linear between cells.
+    return torch.where(empty & near, ramp, prior)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Orthographic views of a field, from coarse to fine.
 
-The first pass looks for surfaces along the whole ray. Each following one has twice the resolution and looks only where
-the pass before saw something near the same pixel, unless that is an edge, where it looks along the whole ray again.
+The first pass samples the whole ray. Each following one has twice the resolution and samples only the depth range that
+the pass before found near the same pixel, except at edges, where it samples the whole ray again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from skymoor.model.nerf.box import INNER_PER_LEVEL
 from skymoor.model.nerf.field import Field
-from skymoor.model.nerf.sampling import Proposal, between, composite, sample_proposal
+from skymoor.model.nerf.sampling import Proposal, composite, midpoints, sample_proposal
 from skymoor.types import Array32, Camera, Progress, View
 
 CHUNK_RAYS = 1 << 13
@@ -25,7 +25,7 @@ COARSEST_PX = 512
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """What a field shows per pixel (h, w): points (h, w, 3) of the inner frame at the median depth, colours (h, w, 3)
+    """Values of a field per pixel (h, w): points (h, w, 3) of the inner frame at the median depth, colours (h, w, 3)
     in [0, 1], opacity, and the standard deviation of depth in inner units. `t` is the median depth along the ray."""
 
     xyz: Tensor
@@ -37,7 +37,7 @@ class Layers:
 
 @torch.no_grad()
 def render_layers(field: Field, proposal: Proposal, view: View, progress: Progress) -> Layers:
-    """Look along all rays of an orthographic view."""
+    """Integrate along all rays of an orthographic view."""
     h, w = view.shape
     steps = max(0, int(np.ceil(np.log2(max(h, w) / COARSEST_PX))))
     coarse: Layers | None = None
@@ -81,18 +81,18 @@ def _pass(
     rgb = torch.zeros(n, 3, device=device)
     for mask, refine in ((valid & narrow, True), (valid & ~narrow, False)):
         for rows in torch.split(torch.nonzero(mask)[:, 0], CHUNK_RAYS):
-            if not len(rows):  # the only part of an empty list
+            if not len(rows):  # split of an empty list
                 continue
             rays = origin[rows], direction.expand(len(rows), 3)
             search = (low[rows], high[rows]) if refine else None
-            t[rows], rgb[rows], opacity[rows], spread[rows] = look(
+            t[rows], rgb[rows], opacity[rows], spread[rows] = integrate_rays(
                 field, proposal, *rays, near[rows], far[rows], search
             )
     xyz = origin + t[:, None] * direction
     return Layers(*(x.view(*size, *x.shape[1:]) for x in (xyz, rgb, opacity, spread, t)))
 
 
-def look(
+def integrate_rays(
     field: Field,
     proposal: Proposal,
     origin: Tensor,
@@ -103,7 +103,7 @@ def look(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Median distance (n,), colour (n, 3), opacity (n,) and spread of distance (n,) of rays (n, 3).
 
-    The surface is known to lie between the two distances `search`, or is looked for where the proposal has it.
+    Samples lie between the two distances `search`, or are drawn by the proposal.
     """
     sizes, box = field.sizes, field.box
     if search is not None:
@@ -114,29 +114,31 @@ def look(
         t = sample_proposal(weights, near, far, sizes.render_samples, None)
     unit = box.unit_from_inner((origin[:, None] + t[..., None] * direction[:, None]).view(-1, 3))
     density, colour = field(unit, direction.repeat_interleave(t.shape[1], 0))
-    seen = composite(density.view(t.shape), t, far)
-    share = seen.weights / seen.opacity.clamp(min=1e-6)[:, None]
-    rgb = (share[..., None] * between(colour.view(*t.shape, 3))).sum(dim=1)
-    return seen.median, rgb, seen.opacity, seen.variance.sqrt()
+    composited = composite(density.view(t.shape), t, far)
+    normalised = composited.weights / composited.opacity.clamp(min=1e-6)[:, None]
+    rgb = (normalised[..., None] * midpoints(colour.view(*t.shape, 3))).sum(dim=1)
+    return composited.median, rgb, composited.opacity, composited.variance.sqrt()
 
 
 def _local_range(
     coarse: Layers, size: tuple[int, int], origin: Tensor, direction: Tensor, near: Tensor, far: Tensor, field: Field
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Nearest and farthest depth (n,) that the coarse pass saw round a pixel, with a margin, and whether that is less
-    than an edge.
+    """Nearest and farthest depth (n,) of the coarse pass around a pixel, with a margin, and whether that range is
+    narrower than an edge.
 
-    Rays of a view begin on one level plane, so that level ground has one depth in an oblique view too.
+    Rays of a view begin on one level plane, so that level ground has a constant depth in oblique views too.
     """
     cell = field.box.inner_per_unit / field.prior.shape[-1]
     image = torch.stack([coarse.t, -coarse.t, coarse.spread])[None]
-    around = functional.max_pool2d(functional.pad(image, (1, 1, 1, 1), mode="replicate"), 3, 1)
-    fine = functional.interpolate(around, scale_factor=2, mode="nearest")[0, :, : size[0], : size[1]].reshape(3, -1)
+    local_max = functional.max_pool2d(functional.pad(image, (1, 1, 1, 1), mode="replicate"), 3, 1)
+    fine = functional.interpolate(local_max, scale_factor=2, mode="nearest")[0, :, : size[0], : size[1]].reshape(3, -1)
     margin = cell + fine[2]
     low, high = -fine[1] - margin, fine[0] + margin
-    fog = functional.max_pool2d((coarse.opacity < 0.9).float()[None, None], 3, 1, 1)
-    fog = functional.interpolate(fog, scale_factor=2, mode="nearest")[0, 0, : size[0], : size[1]].reshape(-1) > 0
-    narrow = (high - low < 6 * cell) & ~fog
+    translucent = functional.max_pool2d((coarse.opacity < 0.9).float()[None, None], 3, 1, 1)
+    translucent = (
+        functional.interpolate(translucent, scale_factor=2, mode="nearest")[0, 0, : size[0], : size[1]].reshape(-1) > 0
+    )
+    narrow = (high - low < 6 * cell) & ~translucent
     return torch.maximum(low, near), torch.minimum(high, far), narrow
 
 
@@ -144,7 +146,7 @@ def _local_range(
 def z_buffer(proposal: Proposal, camera: Camera, reduce: int, bins: int) -> Array32:
     """z-depth of the proposal's surface in a photo, level units, at a part of its size; infinite where there is none.
 
-    It only has to tell what is hidden, so the grid's own densities do, without the field.
+    It is used for occlusion tests only, for which the densities of the grid are sufficient.
     """
     box, device = proposal.box, proposal.density.device
     i = camera.intrinsics
@@ -160,9 +162,9 @@ def z_buffer(proposal: Proposal, camera: Camera, reduce: int, bins: int) -> Arra
         valid = far > near
         far = torch.where(valid, far, near + 1)
         weights = proposal.weights(start, part, near, far, bins)
-        ended = torch.cumsum(weights, dim=-1) > 0.5
-        first = ended.float().argmax(dim=-1)
+        terminated = torch.cumsum(weights, dim=-1) > 0.5
+        first = terminated.float().argmax(dim=-1)
         z = near + (first + 0.5) / bins * (far - near)
-        parts.append(torch.where(valid & ended.any(dim=-1), z, torch.inf))
+        parts.append(torch.where(valid & terminated.any(dim=-1), z, torch.inf))
     depth = torch.cat(parts).view(small.height, small.width) / INNER_PER_LEVEL
     return np.asarray(depth.cpu().numpy(), dtype=np.float32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training: a budget of time and steps, resumable in the middle."""
+"""Training within a budget of time and steps, resumable from a checkpoint."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from skymoor.model.nerf import losses
 from skymoor.model.nerf.field import Field
 from skymoor.model.nerf.options import LossWeights
 from skymoor.model.nerf.photos import Pixels, Rays
-from skymoor.model.nerf.sampling import Proposal, between, composite, sample_measured, sample_proposal
+from skymoor.model.nerf.sampling import Proposal, composite, midpoints, sample_measured, sample_proposal
 from skymoor.types import Progress
 
 Report = Callable[[Mapping[str, float]], None]
 
-HALF_SIZE_UNTIL = 0.3  # of the training: averaged pixels teach more per ray at first
+HALF_SIZE_UNTIL = 0.3  # of the training: averaged pixels are more informative at first
 RANKING_FROM = 0.25
 WARM_UP_STEPS = 50
 DECAY = 0.1
 MEASURED_SHARE = 0.6  # of the samples of a ray with a measured depth
 REPORT_STEPS = 20
 DIGEST_BYTES = hashlib.sha256().digest_size  # in front of a checkpoint
-BAD_STEPS = 20  # in a row, with a loss that is no number
+BAD_STEPS = 20  # consecutive, with a loss that is not finite
 
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """How long, and where to keep what is needed to go on.
+    """Budget and checkpoint of a training.
 
     Attributes:
-        budget_s: seconds on the clock, 0 for no limit. A training that the clock ends is not repeatable to the bit.
+        budget_s: seconds on the clock, 0 for no limit. A training that time ends is not reproducible bit by bit.
         checkpoint: file that is written every `checkpoint_s` seconds and read if it is there; None for none.
-        key: what the checkpoint is good for; one with another key is ignored.
+        key: of the checkpoint's options and data; a file with another key is ignored.
     """
 
     budget_s: float = 0.0
@@ -51,16 +51,17 @@ class Schedule:
     key: str = ""
 
 
-def _line(told: Mapping[str, float]) -> str:
-    """How it goes, for people. Inner units are hundredths of the flying height."""
+def _line(values: Mapping[str, float]) -> str:
+    """Progress as text. Inner units are hundredths of the flying height."""
     return (
-        f"step {told['step']}, PSNR {told['psnr_db']:.1f} dB, depth error {told['depth_error']:.3f} % of the height, "
-        f"{told['left_s']:.0f} s left"
+        f"step {values['step']}, PSNR {values['psnr_db']:.1f} dB, "
+        f"depth error {values['depth_error']:.3f} % of the height, "
+        f"{values['left_s']:.0f} s left"
     )
 
 
 class Trainer:
-    """A field in training. `run` does all of it; `step` one step."""
+    """Training of a field: `run` the whole, `step` one step."""
 
     def __init__(
         self,
@@ -91,7 +92,7 @@ class Trainer:
     def run(self, schedule: Schedule, progress: Progress, report: Report | None = None) -> None:
         """Train until the steps or the seconds are used up.
 
-        Raises `DegenerateGeometry` when the loss stops being a number.
+        Raises `DegenerateGeometry` when the loss is no longer finite.
         """
         self._resume(schedule)
         begun, saved = time.monotonic() - self.seconds, time.monotonic()
@@ -100,36 +101,36 @@ class Trainer:
             if schedule.budget_s and self.seconds >= schedule.budget_s:
                 break
             done = max(self.steps / self.iterations, self.seconds / (schedule.budget_s or math.inf))
-            found = self.step(done)
+            metrics = self.step(done)
             if self.steps % REPORT_STEPS == 0:
                 left = self.seconds * (1 / max(done, 1e-3) - 1)
-                told = {"step": self.steps, "left_s": left, **{k: float(v) for k, v in found.items()}}
-                progress(round(1000 * done), 1000, _line(told))
+                values = {"step": self.steps, "left_s": left, **{k: float(v) for k, v in metrics.items()}}
+                progress(round(1000 * done), 1000, _line(values))
                 if report is not None:
-                    report(told)
+                    report(values)
             if schedule.checkpoint is not None and time.monotonic() - saved > schedule.checkpoint_s:
                 self.save(schedule.checkpoint, schedule.key)
                 saved = time.monotonic()
         progress(1000, 1000)
 
     def step(self, done: float) -> dict[str, Tensor]:
-        """One step, when the share `done` of the training is behind; gives psnr (dB) and depth error (inner units)."""
+        """One step, at the share `done` of the training; returns psnr (dB) and depth error (inner units)."""
         for group, rate in zip(self._optimiser.param_groups, self._rates, strict=True):
             group["lr"] = rate * min(1.0, (self.steps + 1) / WARM_UP_STEPS) * DECAY ** max(0.0, (done - 0.2) / 0.8)
         pixels = self.pixels[0 if done < HALF_SIZE_UNTIL else 1]
         rays = pixels.rays(pixels.draw(self.sizes.rays, self._generator))
         self._optimiser.zero_grad(set_to_none=False)
-        loss, found = self._loss(rays, ranked=done >= RANKING_FROM)
+        loss, metrics = self._loss(rays, ranked=done >= RANKING_FROM)
         self.steps += 1
         if not torch.isfinite(loss):
             self._bad += 1
             if self._bad >= BAD_STEPS:
                 raise DegenerateGeometry("the training of the radiance field diverged: lower its learning rates")
-            return found
+            return metrics
         self._bad = 0
         loss.backward()  # type: ignore[no-untyped-call]
         self._optimiser.step()
-        return found
+        return metrics
 
     def _loss(self, rays: Rays, *, ranked: bool) -> tuple[Tensor, dict[str, Tensor]]:
         valid, weights = rays.valid, self.weights
@@ -146,23 +147,27 @@ class Trainer:
         direction, image = rays.direction.repeat_interleave(count, 0), rays.image.repeat_interleave(count)
         density, colour = self.field(unit, direction, image, draws)
         self.proposal.update(unit, density.detach())
-        seen = composite(density.view(t.shape), t, far)
-        rgb = (seen.weights[..., None] * between(colour.view(*t.shape, 3))).sum(dim=1) * self.field.gains(rays.image)
+        composited = composite(density.view(t.shape), t, far)
+        rgb = (composited.weights[..., None] * midpoints(colour.view(*t.shape, 3))).sum(dim=1) * self.field.gains(
+            rays.image
+        )
         target = rays.rgb / self._gains[rays.image]
-        # Light that passes through the slab has some colour, but none that teaches: the mean.
-        rgb = rgb + (1 - seen.opacity[:, None]) * target.mean(dim=0)
+        # The remaining transmittance gets the mean colour, so that it does not influence the field.
+        rgb = rgb + (1 - composited.opacity[:, None]) * target.mean(dim=0)
         error = torch.where(valid[:, None], rgb - target, 0.0)
         terms = {
             "photometric": losses.photometric_loss(error, torch.zeros_like(error)),
-            "depth": losses.depth_loss(seen.weights, seen.edges, depth, sigma),
-            "line_of_sight": losses.line_of_sight_loss(seen.weights, seen.centres, depth, sigma),
-            "distortion": losses.distortion_loss(seen.weights * valid[:, None], seen.centres, seen.edges),
-            "opacity": losses.opacity_loss(seen.opacity, self._must_end(rays)),
+            "depth": losses.depth_loss(composited.weights, composited.edges, depth, sigma),
+            "line_of_sight": losses.line_of_sight_loss(composited.weights, composited.centres, depth, sigma),
+            "distortion": losses.distortion_loss(
+                composited.weights * valid[:, None], composited.centres, composited.edges
+            ),
+            "opacity": losses.opacity_loss(composited.opacity, self._must_end(rays)),
         }
         if ranked and self.pixels[0].relative is not None:
-            terms["ranking"] = self._ranking(seen.mean, rays, depth)
+            terms["ranking"] = self._ranking(composited.mean, rays, depth)
         total = torch.stack([getattr(weights, name) * term for name, term in terms.items() if getattr(weights, name)])
-        gap = (seen.median - depth).abs().detach()
+        gap = (composited.median - depth).abs().detach()
         psnr = -10 * torch.log10((error.detach()[valid] ** 2).mean())
         loss = total.sum()
         return loss, {"psnr_db": psnr, "depth_error": gap[torch.isfinite(gap)].nanmedian(), "loss": loss.detach()}
@@ -176,7 +181,7 @@ class Trainer:
         return sample_measured(t, depth, sigma, normal)
 
     def _must_end(self, rays: Rays) -> Tensor:
-        """Rays that leave the slab through the site's ground."""
+        """Rays that leave the slab through the floor of the site."""
         leave = rays.origin + rays.far[:, None] * rays.direction
         return rays.valid & (leave[:, :2].abs().amax(dim=-1) < self.field.box.half)
 
@@ -189,7 +194,7 @@ class Trainer:
         return torch.rand(shape, generator=self._generator)
 
     def save(self, path: Path, key: str = "") -> None:
-        """Write all that a later `run` needs to go on as if it had not been interrupted."""
+        """Write the state from which a later `run` resumes without difference."""
         state: dict[str, Any] = {
             "key": key,
             "field": self.field.state_dict(),
@@ -199,17 +204,17 @@ class Trainer:
             "steps": self.steps,
             "seconds": self.seconds,
         }
-        fresh = path.with_name(path.name + ".part")
+        partial = path.with_name(path.name + ".part")
         try:
             content = io.BytesIO()
             torch.save(state, content)
-            with fresh.open("wb") as file:
+            with partial.open("wb") as file:
                 file.write(hashlib.sha256(content.getbuffer()).digest())
                 file.write(content.getbuffer())
-            fresh.replace(path)
+            partial.replace(path)
         except (OSError, RuntimeError):
-            # No room on the disk: the training itself needs none.
-            fresh.unlink(missing_ok=True)
+            # Without disk space there is no checkpoint; the training continues.
+            partial.unlink(missing_ok=True)
 
     def _resume(self, schedule: Schedule) -> None:
         path = schedule.checkpoint
@@ -217,9 +222,9 @@ class Trainer:
             return
         try:
             content = path.read_bytes()
-            # PyTorch would take nearly any flipped bit for a number.
+            # PyTorch does not detect damaged values.
             if hashlib.sha256(content[DIGEST_BYTES:]).digest() != content[:DIGEST_BYTES]:
-                return  # cut off or damaged: begin again
+                return  # truncated or damaged: start again
             device = self.proposal.density.device
             state = torch.load(io.BytesIO(content[DIGEST_BYTES:]), map_location=device, weights_only=True)
         except (OSError, RuntimeError, EOFError, ValueError):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a field's surface could be moved without the photos noticing, and one confidence from all that is known.
+"""Spatial uncertainty of a field by its photometric sensitivity to deformation, and the confidence of renders.
 
-Bayes' Rays (Goli et al. 2024) asks by how much a smooth deformation of space changes the rendered colours: where it
-changes nothing, such as on a plain roof or where no photo looks, the surface is uncertain. The diagonal of the Hessian
-is estimated with random signs (Hutchinson): one backward pass per batch of rays, whose mixed terms cancel on average.
+Bayes' Rays (Goli et al. 2024): where a smooth deformation of space does not change the rendered colours, such as on a
+uniform roof or outside all photos, the surface is uncertain. The diagonal of the Hessian is estimated with random signs
+(Hutchinson): one backward pass per batch of rays, whose mixed terms cancel on average.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from torch.nn import functional
 from skymoor.model.nerf.field import Field
 from skymoor.model.nerf.options import UncertaintyOptions
 from skymoor.model.nerf.photos import Pixels
-from skymoor.model.nerf.sampling import Proposal, between, composite, sample_proposal
+from skymoor.model.nerf.sampling import Proposal, composite, midpoints, sample_proposal
 from skymoor.types import Array, Array32, Progress
 
 BATCH_RAYS = 2048
@@ -28,22 +28,22 @@ BATCH_RAYS = 2048
 
 @dataclass(frozen=True, eq=False)
 class Deformation:
-    """Standard deviations (3, nz, ny, nx) of the vertices' shifts along x, y and z, in unit coordinates."""
+    """Standard deviations (3, nz, ny, nx) of the vertices' displacements along x, y and z, in unit coordinates."""
 
     sigma: Tensor
 
     def to(self, device: torch.device) -> Deformation:
-        """The same in another memory."""
+        """The same on another device."""
         return Deformation(self.sigma.to(device))
 
     def along(self, field: Field, xyz: Tensor, direction: Tensor) -> Tensor:
-        """Standard deviation (n,) of points (n, 3) along a direction (3,), all in the inner frame."""
+        """Standard deviation (n,) of points (n, 3) along a direction (3,), in inner units."""
         box = field.box
-        place = box.unit_from_inner(xyz) * xyz.new_tensor([2.0, 2.0, 2.0 / box.height]) - 1
-        found = functional.grid_sample(
-            self.sigma[None], place[None, None, None], mode="bilinear", padding_mode="border", align_corners=True
+        position = box.unit_from_inner(xyz) * xyz.new_tensor([2.0, 2.0, 2.0 / box.height]) - 1
+        sampled = functional.grid_sample(
+            self.sigma[None], position[None, None, None], mode="bilinear", padding_mode="border", align_corners=True
         )
-        shifts = found.view(3, -1).T * box.stretch(xyz)
+        shifts = sampled.view(3, -1).T * box.stretch(xyz)
         along: Tensor = torch.linalg.vector_norm(shifts * direction, dim=-1)
         return along
 
@@ -58,20 +58,20 @@ def deformation_sigma(
     seed: int,
     progress: Progress,
 ) -> Deformation:
-    """Laplace approximation of the posterior of a deformation, given the colours of all pixels."""
+    """Laplace approximation of the posterior of the deformation, given the colours of all pixels."""
     generator = torch.Generator().manual_seed(seed)
     shape = _vertices(field.box.height, options.cells_across)
     hessian = torch.zeros(3, math.prod(shape), device=field.prior.device)
     squares, batches = 0.0, -(-options.rays // BATCH_RAYS)
     field.requires_grad_(False)  # noqa: FBT003
     for done in range(batches):
-        scattered, error = _batch(field, proposal, pixels, shape, generator)
-        hessian += scattered**2
+        slopes, error = _batch(field, proposal, pixels, shape, generator)
+        hessian += slopes**2
         squares += error / batches
         progress(done + 1, batches)
-    times = len(pixels) / max(1, batches * BATCH_RAYS)
+    rays_ratio = len(pixels) / max(1, batches * BATCH_RAYS)
     widest = options.widest_px * pixel_inner / field.box.inner_per_unit
-    precision = hessian * times / max(squares, 1e-6) + 1 / widest**2
+    precision = hessian * rays_ratio / max(squares, 1e-6) + 1 / widest**2
     return Deformation(precision.rsqrt().view(3, *shape))
 
 
@@ -87,16 +87,16 @@ def _batch(
     unit.requires_grad_()
     count = t.shape[1]
     density, colour = field(unit, rays.direction.repeat_interleave(count, 0), rays.image.repeat_interleave(count))
-    seen = composite(density.view(t.shape), t, far)
-    rgb = (seen.weights[..., None] * between(colour.view(*t.shape, 3))).sum(dim=1) * rays.valid[:, None]
+    composited = composite(density.view(t.shape), t, far)
+    rgb = (composited.weights[..., None] * midpoints(colour.view(*t.shape, 3))).sum(dim=1) * rays.valid[:, None]
     signs = torch.randint(0, 2, rgb.shape, generator=generator).to(rgb) * 2 - 1
     (slope,) = torch.autograd.grad((signs * rgb).sum(), unit)
     error = float(((rgb.detach() - rays.rgb)[rays.valid] ** 2).mean())
     index, weight = _corners(unit.detach(), field.box.height, shape)
-    scattered = torch.zeros(3, math.prod(shape), device=unit.device)
+    slopes = torch.zeros(3, math.prod(shape), device=unit.device)
     for axis in range(3):
-        scattered[axis].index_add_(0, index.view(-1), (weight * slope[:, axis, None]).view(-1))
-    return scattered, error
+        slopes[axis].index_add_(0, index.view(-1), (weight * slope[:, axis, None]).view(-1))
+    return slopes, error
 
 
 def _vertices(height: float, across: int) -> tuple[int, int, int]:
@@ -104,11 +104,11 @@ def _vertices(height: float, across: int) -> tuple[int, int, int]:
 
 
 def _corners(unit: Tensor, height: float, shape: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
-    """Flat indices (n, 8) of the vertices round points (n, 3), and their trilinear weights."""
+    """Flat indices (n, 8) of the vertices around points (n, 3), and their trilinear weights."""
     nz, ny, nx = shape
-    place = unit * unit.new_tensor([nx - 1, ny - 1, (nz - 1) / height])
-    cell = torch.minimum(place.floor(), unit.new_tensor([nx - 2, ny - 2, nz - 2])).clamp(min=0)
-    fraction = place - cell
+    position = unit * unit.new_tensor([nx - 1, ny - 1, (nz - 1) / height])
+    cell = torch.minimum(position.floor(), unit.new_tensor([nx - 2, ny - 2, nz - 2])).clamp(min=0)
+    fraction = position - cell
     low = cell.long()
     index, weight = [], []
     for corner in range(8):
@@ -123,12 +123,12 @@ def _corners(unit: Tensor, height: float, shape: tuple[int, int, int]) -> tuple[
 def confidence(
     agreement: Array32, opacity: Array32, spread_px: Array32, bayes_px: Array32 | None, options: UncertaintyOptions
 ) -> Array32:
-    """One number in [0, 1] per pixel: the product of what each check leaves of it.
+    """Confidence in [0, 1] per pixel: the product of one factor per input.
 
     Args:
-        agreement: of the depth maps with the rendered surface, and how many photos see it, in [0, 1].
-        opacity: share of the light that ends.
-        spread_px: standard deviation of where it ends, in pixels on the ground.
+        agreement: of the depth maps with the rendered surface, and of the number of photos, in [0, 1].
+        opacity: total termination weight.
+        spread_px: standard deviation of the termination depth, in pixels on the ground.
         bayes_px: standard deviation by Bayes' Rays, in pixels on the ground, or None.
     """
     result = agreement * np.clip(2 * opacity - 1, 0, 1) / (1 + (spread_px / options.spread_px) ** 2)
@@ -140,15 +140,15 @@ def confidence(
 def reliability(
     confidence: Array32, error: Array32, limit: float, *, bins: int = 5
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Whether confidence means something: share of pixels whose |error| is below `limit`, per bin of confidence.
+    """Reliability diagram of the confidence: share of pixels with |error| below `limit`, per bin of confidence.
 
-    Pixels whose error is not finite are left out. Gives the mean confidence (bins,), the share (bins,), NaN for empty
+    Pixels whose error is not finite are left out. Returns the mean confidence (bins,), the share (bins,), NaN for empty
     bins, and the number of pixels (bins,); the bins divide [0, 1] evenly.
     """
     known = np.isfinite(error) & np.isfinite(confidence)
-    place = np.clip((confidence[known] * bins).astype(np.int64), 0, bins - 1)
-    counts = np.bincount(place, minlength=bins)
-    good = np.bincount(place, np.abs(error[known]) < limit, minlength=bins)
-    total = np.bincount(place, confidence[known], minlength=bins)
+    position = np.clip((confidence[known] * bins).astype(np.int64), 0, bins - 1)
+    counts = np.bincount(position, minlength=bins)
+    good = np.bincount(position, np.abs(error[known]) < limit, minlength=bins)
+    total = np.bincount(position, confidence[known], minlength=bins)
     with np.errstate(invalid="ignore", divide="ignore"):
         return total / counts, good / counts, counts
