@@ -122,9 +122,8 @@ def test_the_more_confident_component_is_kept(first: list[DepthMap], second: lis
     refused = OneHypothesis(Registration(False, "too few", None))
     assert decide_jointly(["a"], [refused], [first])[0].reason == "too few"
     blind = [replace(m, depth=np.full_like(m.depth, np.nan)) for m in second]
-    assert decide_jointly(["a", "b"], [hypotheses((80.0, HERE)), hypotheses((60.0, wrong))], [first, blind])[
-        1
-    ].registered
+    searches = [hypotheses((80.0, HERE)), hypotheses((60.0, wrong))]
+    assert decide_jointly(["a", "b"], searches, [first, blind])[1].registered
 
 
 def test_scores_come_in_the_order_of_the_hypotheses() -> None:

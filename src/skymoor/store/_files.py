@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What files hold, read once: a digest is kept beside the cache with the file's size and time of change."""
+"""Digests of files, computed once: each is kept beside the cache with size and time of change of its file."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ class FileDigests:
     def __init__(self, index: Path) -> None:
         self._index = index
         self._known: dict[str, list[object]] | None = None
+        self._changed = False
 
     def sha256(self, file: Path) -> str:
         """In hexadecimal; the path itself for what is no file that can be read."""
@@ -29,6 +30,7 @@ class FileDigests:
                 with file.open("rb") as content:
                     known = [*stamp, hashlib.file_digest(content, "sha256").hexdigest()]
                 self._load()[path] = known
+                self._changed = True
         except OSError:
             return file.as_posix()
         return str(known[2])
@@ -39,14 +41,15 @@ class FileDigests:
         return [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files if file.is_file()]
 
     def forget(self) -> None:
-        """Know nothing any more."""
+        """Drop all digests."""
         self._known = {}
 
     def save(self) -> None:
         """Keep what is known for the next run; without it files are read again."""
-        if self._known and self._index.parent.is_dir():
+        if self._changed and self._index.parent.is_dir():
             with suppress(Exception), atomic_file(self._index) as out:
                 out.write(json.dumps(self._known).encode())
+            self._changed = False
 
     def _load(self) -> dict[str, list[object]]:
         if self._known is None:

@@ -99,7 +99,6 @@ class Store:
 
     def close(self) -> None:
         """Let go of the directory; the end of the process does the same."""
-        self.files.save()
         self._lock.release()
 
     def __enter__(self) -> Store:
@@ -170,6 +169,7 @@ class Store:
             write_cache(file, record, value)
             LOG.info("%s: %.1f s, at most %.0f MiB", name, record.seconds, record.peak_mib)
         self._records[name] = record
+        self.files.save()
         self._forget_others(name, file)
         return value  # type: ignore[no-any-return]
 
