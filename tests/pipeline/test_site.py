@@ -119,7 +119,7 @@ def test_missing_reference_and_images(site: Path) -> None:
     with pytest.raises(InputError, match=r"\[reference\] is missing"):
         load_site(site)
     site.write_text(GOOD.partition("[airborne]")[0])
-    with pytest.raises(InputError, match="no images to place"):
+    with pytest.raises(InputError, match="there are no images"):
         load_site(site)
 
 

@@ -163,7 +163,7 @@ class TestColmap:
         """And do not end the process, as extraction itself would."""
         if hasattr(pycolmap.FeatureExtractionOptions(), "aliked"):
             pytest.skip("this build of pycolmap has ONNX")
-        with pytest.raises(BackendUnavailable, match=r"has no ONNX.*kind = aliked"):
+        with pytest.raises(BackendUnavailable, match=r"has no ONNX.*reconstruct.matcher = aliked"):
             ColmapAlikedMatcher().ready()
 
     @pytest.mark.parametrize(("join", "model"), [("lightglue", "aliked-lightglue"), ("nearest", "bruteforce-matcher")])

@@ -46,17 +46,23 @@ def register_ground_sets(jobs: Sequence[Job], airborne: Sequence[ComponentResult
         components = reconstruct_set(f"{job.name}.reconstruct", job, choices)
         levelled += [(number, _level_or_refuse(f"{job.name}-{k}", c, ready, job)) for k, c in enumerate(components)]
     searched = [(item, _search_or_refuse(item, ready, jobs[n])) for n, item in levelled if ready and item.depths]
-    names = [item.name for item, _ in searched]
-    found = or_else(
-        lambda: decide_jointly(names, [answers for _, answers in searched], [item.depths for item, _ in searched]),
-        lambda reason: [refused(item.name, item.component, reason).registration for item, _ in searched],
-        "ground components together",
-    )
-    decided = dict(zip(names, found, strict=True))
-    on_map = {item.name: _on_map(item, answers) for item, answers in searched}
+    decided = _decided(searched)
+    on_map = {item.name: _on_map(item, found) for item, found in searched}
     levelled = [(n, replace(item, hypotheses=on_map.get(item.name, []))) for n, item in levelled]
     results = [(n, _check_or_refuse(item, decided.get(item.name), ready, jobs[n])) for n, item in levelled]
     return [[item for n, item in results if n == number] for number in range(len(jobs))]
+
+
+def _decided(searched: Sequence[tuple[ComponentResult, Hypotheses]]) -> dict[str, Registration]:
+    """The registrations of all searched components, decided jointly, by their names."""
+    items, searches = [item for item, _ in searched], [found for _, found in searched]
+    names = [item.name for item in items]
+    registrations = or_else(
+        lambda: decide_jointly(names, searches, [item.depths for item in items]),
+        lambda reason: [refused(item.name, item.component, reason).registration for item in items],
+        "ground components together",
+    )
+    return dict(zip(names, registrations, strict=True))
 
 
 def _level_or_refuse(name: str, component: Component, airborne: _Airborne | None, job: Job) -> ComponentResult:
@@ -83,14 +89,15 @@ def _check_or_refuse(
     )
 
 
-def _on_map(item: ComponentResult, answers: Hypotheses) -> list[MapHypothesis]:
+def _on_map(item: ComponentResult, found: Hypotheses) -> list[MapHypothesis]:
     """All hypotheses of a component, accepted or not."""
-    found, middle = [], np.median([camera.centre for camera in item.component.cameras], axis=0)
-    for place, evidence in zip(answers.similarities, answers.scores, strict=True):
-        east, north, _ = place.apply(middle[None])[0].tolist()
-        azimuth_deg = -np.degrees(np.arctan2(place.rotation[1, 0], place.rotation[0, 0])) % 360
-        found.append(MapHypothesis(evidence, east, north, float(azimuth_deg), place.scale))
-    return found
+    on_map, centre = [], np.median([camera.centre for camera in item.component.cameras], axis=0)
+    for enu_from_level, score in zip(found.similarities, found.scores, strict=True):
+        east, north, _ = enu_from_level.apply(centre[None])[0].tolist()
+        rotation = enu_from_level.rotation
+        azimuth_deg = -np.degrees(np.arctan2(rotation[1, 0], rotation[0, 0])) % 360
+        on_map.append(MapHypothesis(score, east, north, float(azimuth_deg), enu_from_level.scale))
+    return on_map
 
 
 def _airborne(bases: Sequence[ComponentResult], job: Job) -> _Airborne | None:

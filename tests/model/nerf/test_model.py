@@ -189,7 +189,7 @@ def test_options_by_their_names() -> None:
     with pytest.raises(InputError, match="no option losses"):
         with_options(NerfBuilder(), {"losses.ranking": 0.0})
     assert NerfBuilder().colours == "blend"
-    with pytest.raises(ValueError, match="not negative"):
+    with pytest.raises(ValueError, match="must not be negative"):
         replace(NerfBuilder().losses, depth=-1.0)
     with pytest.raises(ValueError, match="positive"):
         replace(TINY, samples=1)
