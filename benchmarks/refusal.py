@@ -45,7 +45,7 @@ RIGHT_M = 2.0
 CERTAINLY_REFUSED = 0.3
 # Some hundred searches have to be cheap: at a third of the product's resolution, over few scales, with few decoys. True
 # places are harder to tell from chance so, for the scores of both are of fewer pixels.
-SEARCH = SearchOptions(heading_step_deg=8.0, reference_px=160, template_px=64, keep=4, fine_px=256)
+SEARCH = SearchOptions(azimuth_step_deg=8.0, reference_px=160, template_px=64, keep=4, fine_px=256)
 DECOYS = DecoyOptions(count=5)
 OPTIONS = Options()
 SCALE_RANGE = 1.15

@@ -8,6 +8,9 @@ from pathlib import Path
 
 # Before anything imports the libraries that read it: no test asks a hub for anything, not even whether it is there.
 os.environ["HF_HUB_OFFLINE"] = "1"
+# Workers of pytest-xdist share the cores: with threads of their own they would wait for each other.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
 
 import numpy as np
 import pytest

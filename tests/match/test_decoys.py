@@ -11,7 +11,7 @@ from skymoor.match.decoys import SEAM_PX, make_decoys, mirrored, mixed
 from skymoor.types import Raster
 from support.pictures import noise_picture
 
-OPTIONS = SearchOptions(heading_step_deg=10.0, template_px=64, reference_px=160, fine_px=120)
+OPTIONS = SearchOptions(azimuth_step_deg=10.0, template_px=64, reference_px=160, fine_px=120)
 
 
 def picture(shape: tuple[int, int], seed: int) -> Raster:

@@ -47,7 +47,7 @@ class SearchOptions:
     """Resolution and extent of the search.
 
     Attributes:
-        heading_step_deg: spacing of the coarse rotations, in degrees.
+        azimuth_step_deg: spacing of the coarse rotations, in degrees.
         scale_step: ratio of consecutive coarse scales.
         template_px, reference_px: largest long sides of image and reference at the coarse level, in pixels.
         min_overlap: smallest fraction of the image that lies on the reference.
@@ -58,7 +58,7 @@ class SearchOptions:
         channels: how structural channels are made.
     """
 
-    heading_step_deg: float = 6.0
+    azimuth_step_deg: float = 6.0
     scale_step: float = 1.06
     template_px: int = 128
     reference_px: int = 512
@@ -112,7 +112,7 @@ def search_in(
         progress(done + 1, len(scales) + 1)
     found = distinct(found, a.mask.shape)[: options.keep]
     template_px = options.template_px
-    azimuth_step, scale_step = np.radians(options.heading_step_deg) / 2, np.log(options.scale_step) / 2
+    azimuth_step, scale_step = np.radians(options.azimuth_step_deg) / 2, np.log(options.scale_step) / 2
     while found:
         refined = [search.refine(p, template_px * 2, azimuth_step, scale_step) for p in found]
         found = distinct(refined, a.mask.shape)
@@ -181,7 +181,7 @@ class _Search:
         channels = make_channels(small, self._options.channels)
         target = self._target(ratio)
         found = []
-        for azimuth in np.radians(np.arange(0, 360, self._options.heading_step_deg)):
+        for azimuth in np.radians(np.arange(0, 360, self._options.azimuth_step_deg)):
             template = rotate_channels(channels, azimuth)
             side = template.values.shape[1]
             scores = correlate(template, target, min_overlap=self._options.min_overlap)

@@ -32,7 +32,7 @@ class RegisterOptions:
         max_tilt_deg: a registration that tilts the level model by more is a refusal.
         min_score, min_score_margin: of the match score, and over that of a competing hypothesis; see `decide`.
         max_false_alarm: largest probability that a decoy scores as much.
-        min_height_agreement: correlation of heights of the model and of the reference, where both have relief.
+        min_height_correlation: correlation of heights of the model and of the reference, where both have relief.
     """
 
     inlier_m: float = 1.0
@@ -45,7 +45,7 @@ class RegisterOptions:
     min_score: float = 36.0
     min_score_margin: float = 1.3
     max_false_alarm: float = 0.005
-    min_height_agreement: float = 0.2
+    min_height_correlation: float = 0.2
 
 
 def register(

@@ -143,7 +143,7 @@ KINDS: dict[str, Kind] = {
         "at least {limit} is required)",
         meaning="Where both have relief, heights of the model must correlate with those of the DSM; "
         "if they do not, the position looks right in colour only.",
-        limit="at least register.min_height_agreement",
+        limit="at least register.min_height_correlation",
         remedy="Check that the DSM belongs to the orthophoto, includes the buildings, and that its vertical datum is "
         "right; where the site has changed since, use a newer one.",
         spec=".2f",

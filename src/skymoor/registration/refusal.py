@@ -64,7 +64,7 @@ def _of_matches(registration: Registration, options: RegisterOptions, heights: f
         criterion("inlier_ratio", registration.inlier_ratio, options.min_inlier_ratio),
     ]
     if heights is not None:
-        criteria.append(criterion("height_correlation", heights, options.min_height_agreement))
+        criteria.append(criterion("height_correlation", heights, options.min_height_correlation))
     return [
         *criteria,
         criterion("cells", registration.diagnostics.get("cells", 0.0), options.min_cells),

@@ -55,7 +55,7 @@ def test_what_stands_before_a_wall_hides_it(walk: list[DepthMap]) -> None:
 def test_windows_without_depth_are_shown_within_the_wall_only(walk: list[DepthMap]) -> None:
     blind = [replace(m, depth=np.full_like(m.depth, np.nan)) for m in walk]
     narrow = facade_of(SOUTH, blind, 0.1).raster.mask
-    wide = facade_of(SOUTH, blind, 0.1, FacadeOptions(guess_margin_m=1.0)).raster.mask
+    wide = facade_of(SOUTH, blind, 0.1, FacadeOptions(no_depth_margin_m=1.0)).raster.mask
     assert narrow[12:78, 100:168].any()
     assert not narrow[:, 171:].any()
     assert wide[:, 171:].any()

@@ -66,7 +66,7 @@ class GroundOptions:
     walls: WallOptions = field(default_factory=WallOptions, metadata=FIXED)
     airborne_facades: FacadeOptions = field(default_factory=FacadeOptions, metadata=FIXED)
     ground_facades: FacadeOptions = field(
-        default_factory=lambda: FacadeOptions(margin_m=4.0, guess_margin_m=4.0), metadata=FIXED
+        default_factory=lambda: FacadeOptions(margin_m=4.0, no_depth_margin_m=4.0), metadata=FIXED
     )
     search: FacadeSearchOptions = field(default_factory=FacadeSearchOptions, metadata=FIXED)
     pool: PoolOptions = field(default_factory=PoolOptions, metadata=FIXED)

@@ -74,7 +74,7 @@ def pair_facades(
     in_level = FacadeOptions(
         tolerance_m=options.tolerance_m * level_per_m,
         margin_m=options.margin_m * level_per_m,
-        guess_margin_m=options.margin_m * level_per_m,
+        no_depth_margin_m=options.margin_m * level_per_m,
         photos=options.photos,
         blend=options.blend,
     )

@@ -15,7 +15,7 @@ from skymoor.ground.walls.surface import sample_nearest
 from skymoor.ground.walls.walls import Wall
 from skymoor.types import Array, Array32, DepthMap, Raster
 
-GUESS_DOWN_M = 0.5
+NO_DEPTH_DOWN_M = 0.5
 """Photos without depth are used this far below a wall at most: there the ground begins."""
 
 
@@ -25,8 +25,8 @@ class FacadeOptions:
 
     Attributes:
         tolerance_m: a photo shows a point of the wall unless its depth there is further than this from the wall.
-        guess_weight: of photos without a depth there: windows have none, and yet distinguish facades.
-        guess_margin_m: how far beyond the wall such photos count, sideways and up.
+        no_depth_weight: of photos without a depth there: windows have none, and yet distinguish facades.
+        no_depth_margin_m: how far beyond the wall such photos count, sideways and up.
         margin_m: by how much the orthophoto is larger than the wall, to all sides.
         min_cosine: of the angle between ray and wall's normal; flatter views are not used.
         photos: that contribute to a wall, those with the finest pixels.
@@ -35,8 +35,8 @@ class FacadeOptions:
     """
 
     tolerance_m: float = 0.6
-    guess_weight: float = 0.5
-    guess_margin_m: float = 0.0
+    no_depth_weight: float = 0.5
+    no_depth_margin_m: float = 0.0
     margin_m: float = 1.0
     min_cosine: float = 0.12
     photos: int = 8
@@ -176,9 +176,9 @@ def _layer(wall: Wall, xyz: Array, depth_map: DepthMap, options: FacadeOptions) 
     with np.errstate(invalid="ignore"):
         seen = np.where(np.abs(behind) < options.tolerance_m, weight, 0)
     rgb = cv2.remap(depth_map.rgb, u - 0.5, v - 0.5, cv2.INTER_LINEAR).astype(np.float32)
-    grow = options.guess_margin_m
-    within = (xyz[..., 2] >= wall.z0 - min(grow, GUESS_DOWN_M)) & (xyz[..., 2] <= wall.z1 + grow)
+    grow = options.no_depth_margin_m
+    within = (xyz[..., 2] >= wall.z0 - min(grow, NO_DEPTH_DOWN_M)) & (xyz[..., 2] <= wall.z1 + grow)
     along = xyz[..., :2] @ wall.right
     within &= (along >= wall.s0 - grow) & (along <= wall.s1 + grow)
-    shown = np.where(within & np.isnan(depth), options.guess_weight * weight, seen)
+    shown = np.where(within & np.isnan(depth), options.no_depth_weight * weight, seen)
     return _Layer(rgb, shown.astype(np.float32))
