@@ -13,7 +13,7 @@ import pytest
 from skymoor.cli import commands
 from skymoor.cli.main import main
 from skymoor.simulate.options import SiteOptions
-from support.small_run import SEARCH
+from support.small_run import OPTIONS
 
 SMALL = SiteOptions(
     seed=1,
@@ -33,8 +33,8 @@ def test_the_demo_finds_the_site_that_it_made(
 ) -> None:
     monkeypatch.setattr(commands, "DEMO", SMALL)
     # Less to search, for time only.
-    real, fewer = commands.run, tuple(f"match.{one}" for one in SEARCH)
-    monkeypatch.setattr(commands, "run", lambda command: real(replace(command, set=fewer)))
+    real = commands.run
+    monkeypatch.setattr(commands, "run", lambda command: real(replace(command, set=OPTIONS)))
     assert main(["demo", "--out", str(tmp_path), "--quiet"]) == 0
     truth = json.loads((tmp_path / "site/truth.json").read_text())
     (row,) = json.loads((tmp_path / "result/evaluation.json").read_text())["rows"]

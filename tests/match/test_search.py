@@ -35,7 +35,7 @@ CASES = {
     ("case", "heights"),
     [("fine pixels", True), ("fine pixels", False), ("coarse pixels", True), ("finest pixels", True)],
 )
-def test_a_picture_is_found(reference: Raster, first_day: Overhead, case: str, heights: bool) -> None:
+def test_an_image_is_found(reference: Raster, first_day: Overhead, case: str, heights: bool) -> None:
     truth, shape = CASES[case]
     a, b = placed(first_day, truth, shape), reference
     if not heights:
@@ -44,8 +44,8 @@ def test_a_picture_is_found(reference: Raster, first_day: Overhead, case: str, h
     found = search_hypotheses(
         a,
         b,
-        min_scale=truth.scale / 1.2,
-        max_scale=truth.scale * 1.3,
+        min_scale=truth.scale / 1.15,
+        max_scale=truth.scale * 1.2,
         progress=lambda done, of: steps.append((done, of)),
     )
     first = found[0]
@@ -53,23 +53,23 @@ def test_a_picture_is_found(reference: Raster, first_day: Overhead, case: str, h
     assert abs(np.degrees(turn)) < 1.0
     assert abs(first.scale / truth.scale - 1) < 0.015
     assert np.hypot(*(np.array(first.centre_px) - truth.centre_px)) < 0.5
-    # Far above chance, and above the second place, though crossings resemble each other; a registration asks for 40
-    # and for 1.3 times the second. Not above what agreement of every pixel would give.
+    # Far above decoys and the second hypothesis, though crossings resemble each other; a registration requires 40
+    # and 1.3 times the second. Not above what agreement of every pixel would give.
     assert 40 < first.score < np.sqrt(a.mask.sum() * truth.scale**2)
     assert all(first.score > 1.4 * other.score for other in found[1:])
     assert [p.score for p in found] == sorted((p.score for p in found), reverse=True)
     assert steps[-1][0] == steps[-1][1] and [done for done, _ in steps] == sorted(done for done, _ in steps)
 
 
-def test_another_place_scores_like_chance(reference: Raster, next_door: Overhead) -> None:
+def test_another_site_scores_like_decoys(reference: Raster, next_door: Overhead) -> None:
     truth, shape = CASES["fine pixels"]
-    found = search_hypotheses(placed(next_door, truth, shape), reference, min_scale=0.45, max_scale=0.8)
+    found = search_hypotheses(placed(next_door, truth, shape), reference, min_scale=0.5, max_scale=0.72)
     # Streets and roofs resemble each other; 40 is the least that a registration asks for.
     assert 8 < found[0].score < 40
     assert found[0].score < 1.3 * found[1].score
 
 
-def test_a_picture_larger_than_the_reference_has_no_place(reference: Raster, first_day: Overhead) -> None:
+def test_an_image_larger_than_the_reference_has_no_hypothesis(reference: Raster, first_day: Overhead) -> None:
     truth, shape = CASES["fine pixels"]
     a = placed(first_day, truth, shape)
     assert search_hypotheses(a, reference, min_scale=6.0, max_scale=9.0) == []

@@ -15,7 +15,8 @@ import pytest
 from skymoor.errors import InputError
 from skymoor.store import Store
 from skymoor.store._cache import CHECKSUM_BYTES
-from support.interrupted import KILLED, drawn, processes, started, status_of, with_room_for, work, work_until
+from support.interrupted import KILLED, processes, started, status_of, with_room_for, work, work_until
+from support.plain_stages import drawn
 
 
 def products(out: Path) -> dict[str, bytes]:

@@ -19,6 +19,7 @@ import numpy as np
 from skymoor.engines.colmap import write_colmap
 from skymoor.store import Store
 from support.blocks import block
+from support.plain_stages import doubled, drawn
 
 KILLED = -signal.SIGKILL
 
@@ -45,16 +46,6 @@ def status_of(job: Callable[..., object], *arguments: object, patience_s: float 
         process.kill()
         process.join()
     return process.exitcode
-
-
-def drawn(seed: int) -> np.ndarray:
-    """Some numbers."""
-    return np.random.default_rng(seed).normal(size=3000)
-
-
-def doubled(x: np.ndarray) -> dict[str, Any]:
-    """Twice as much."""
-    return {"sum": float(x.sum()), "x": x * 2}
 
 
 def work(out: Path) -> None:
