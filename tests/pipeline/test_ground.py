@@ -112,7 +112,7 @@ def test_without_an_airborne_component_all_are_refused(
     with Store.open(tmp_path) as store:
         (found,) = register_ground_sets([ground_job(store)], [])
     assert [item.registration.registered for item in found] == [False, False]
-    assert "no airborne component is registered" in found[0].registration.reason
+    assert "no registered airborne component" in found[0].registration.reason
     assert register_ground_sets([], []) == []
 
 

@@ -127,7 +127,7 @@ def _level(name: str, component: Component, airborne: _Airborne | None, job: Job
     options, engines = job.options.ground, job.options.engines
     try:
         if airborne is None:
-            raise DegenerateGeometry("no airborne component is registered that it could be registered to")
+            raise DegenerateGeometry("there is no registered airborne component to register it to")
         ground = ground_of(name, component, engines.labeler(options.labels), job)
         gravity = estimate_ground_gravity(component, job.photos, ground=ground)
         level_from_sfm = level_from_gravity(component, gravity)
