@@ -33,8 +33,8 @@ def test_the_demo_finds_the_site_that_it_made(
 ) -> None:
     monkeypatch.setattr(commands, "DEMO", SMALL)
     # Less to search, for time only.
-    real = commands.run
-    monkeypatch.setattr(commands, "run", lambda command: real(replace(command, set=OPTIONS)))
+    real, fewer = commands.run, (*OPTIONS, "match.min_height_m=46")
+    monkeypatch.setattr(commands, "run", lambda command: real(replace(command, set=fewer)))
     assert main(["demo", "--out", str(tmp_path), "--quiet"]) == 0
     truth = json.loads((tmp_path / "site/truth.json").read_text())
     (row,) = json.loads((tmp_path / "result/evaluation.json").read_text())["rows"]
