@@ -15,9 +15,8 @@ import numpy as np
 from skymoor.store._atomic import atomic_file
 from skymoor.store._codec import decode, encode
 
-STAGES = "stages"
-"""Folder of the cache in that of a run, and how much of a key is part of a file's name."""
-KEY_LENGTH = 12
+STAGES, KEY_LENGTH = "stages", 12
+"""Folder of the cache in that of a run, and how many letters of a key are part of a file's name."""
 TREE = "tree"
 """Name of the JSON text among the arrays, which are called 0, 1, 2 ..."""
 CHECKSUM_BYTES = hashlib.sha256().digest_size

@@ -41,7 +41,7 @@ def unplaced_cameras(set_name: str, component: int | None, images: Iterable[str]
 
 
 def cameras_table(rows: Iterable[CameraRow]) -> list[dict[str, object]]:
-    """Rows as dictionaries with the keys `results.tables.COLUMNS`, for a csv writer."""
+    """Rows as dictionaries with the keys `results.tables.CAMERA_COLUMNS`, for a csv writer."""
     return [asdict(row) for row in rows]
 
 

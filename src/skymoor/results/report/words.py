@@ -52,13 +52,14 @@ def criteria(component: ComponentSummary) -> list[dict[str, Any]]:
     """All acceptance criteria of a component, as texts: name, value, limit and meaning, and whether it `passed`."""
     return [
         {
-            "name": kind_of(one.kind).name,
-            "value": kind_of(one.kind).written(one.value),
-            "limit": kind_of(one.kind).written_limit(one.limit),
-            "meaning": kind_of(one.kind).meaning,
+            "name": kind.name,
+            "value": kind.written(one.value),
+            "limit": kind.written_limit(one.limit),
+            "meaning": kind.meaning,
             "passed": one.passed,
         }
         for one in criteria_of(component.summary)
+        for kind in [kind_of(one.kind)]
     ]
 
 
