@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,19 @@ class Calibration:
     def focal_sigma(self) -> float:
         """Honest relative standard deviation of the focal length: half of the interval, or what is left of it."""
         return max((self.focal_high_ratio - self.focal_low_ratio) / 2, self.focal_sigma_ratio, 0.0)
+
+    def narrowed(self, ratio: float, sigma: float) -> Calibration:
+        """With what another source says: that the focal length is `ratio` times the estimate, up to `sigma` of it.
+
+        The estimate stays: its deviation from `ratio` counts as an error.
+        """
+        total = float(np.hypot(sigma, ratio - 1))
+        return replace(
+            self,
+            focal_sigma_ratio=total,
+            focal_low_ratio=1 - total,
+            focal_high_ratio=1 + total,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,6 +315,32 @@ class Criterion:
     passed: bool
 
 
+HeightStatus = Literal["CONFIRMED", "OFFSET_ONLY", "NOT_CONFIRMED"]
+
+
+@dataclass(frozen=True)
+class HeightVerdict:
+    """What the reference says of a model's heights, apart from its position on the map.
+
+    CONFIRMED: its relief is the model's. OFFSET_ONLY: heights hang on the reference's mean height alone. NOT_CONFIRMED:
+    the reference has no heights, or such that contradict the photos; the model's heights are relative then.
+
+    Attributes:
+        status: one of these.
+        reason: why it is not more; also what else is to be known.
+        scale, scale_sigma: the reference's relief divided by the model's, and its standard deviation.
+        spread_m: robust standard deviation of the difference of both.
+        resolution_m: finest detail of the elevation model, estimated.
+    """
+
+    status: HeightStatus
+    reason: str = ""
+    scale: float | None = None
+    scale_sigma: float | None = None
+    spread_m: float | None = None
+    resolution_m: float | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Registration:
     """Where a model is on Earth, or why that is not known.
@@ -323,6 +362,8 @@ class Registration:
     residuals_m: Array | None = None  # (n, 3) east-north-up of every match
     diagnostics: dict[str, float] = field(default_factory=dict)
     criteria: tuple[Criterion, ...] = ()
+    heights: HeightVerdict | None = None  # of models that are registered on the map
+    lean: tuple[float, float] | None = None  # of raised surfaces in the orthophoto, metres east and north per metre up
 
     @property
     def inlier_ratio(self) -> float:

@@ -129,6 +129,17 @@ def test_a_camera_without_a_position_does_not_invalidate_its_component() -> None
     assert row.mean_absolute_m == pytest.approx(1.0, abs=1e-6)
 
 
+def test_without_heights_the_plan_is_evaluated_alone() -> None:
+    truth, bias = truth_positions(30), np.array([1.2, -0.9, 40.0])
+    found = [replace(one, height=None, le90=None) for one in estimates(truth + bias)]
+    (row,) = evaluate(found, truths(truth), FRAME, COVARIANCE, {})
+    assert row.status == "REGISTERED" and row.mean_horizontal_m == pytest.approx(1.5, abs=0.01)
+    assert (row.bias_east_m, row.bias_north_m) == pytest.approx((1.2, -0.9), abs=0.01)
+    assert row.share_within_ce90 == 1.0 and row.predicted_ce90_m == 2.0
+    for value in (row.mean_absolute_m, row.mean_vertical_m, row.bias_up_m, row.share_within_le90, row.mean_mahalanobis):
+        assert value is None
+
+
 def test_mistakes_in_the_lists() -> None:
     truth = truth_positions(6)
     found, known = estimates(truth), truths(truth)

@@ -13,7 +13,15 @@ from scipy.spatial.transform import Rotation
 from skymoor.errors import TooFewMatches
 from skymoor.geo import EnuFrame, Grid
 from skymoor.geometry import Similarity, point_covariance
-from skymoor.registration import RegisterOptions, camera_accuracy, decide, register, restated
+from skymoor.registration import (
+    Agreement,
+    NullSample,
+    RegisterOptions,
+    camera_accuracy,
+    decide,
+    register,
+    restated,
+)
 from skymoor.registration.covariance import SHAPE_FACTOR, matched_covariance
 from skymoor.registration.criteria import remedy_of
 from skymoor.registration.criterion_kinds import KINDS
@@ -53,7 +61,7 @@ def test_a_known_registration_is_recovered(outliers: float) -> None:
     assert (1 - outliers) * 0.93 < found.inlier_ratio < (1 - outliers) * 1.0 + 0.02
     assert 0.8 * np.linalg.norm(SIGMA_M) < found.rmse_m < 1.1 * np.linalg.norm(SIGMA_M)
     assert found.tilt_deg == pytest.approx(1.5, abs=0.25)
-    decided = decide(found, SCORES, 1000)
+    decided = decide(found, SCORES, 1000, agreement=Agreement(70, 90))
     assert decided.registered and decided.reason == ""
     assert decided.diagnostics["search_score"] == 100 and decided.diagnostics["second_score"] == 22
 
@@ -182,6 +190,10 @@ def test_a_transform_from_elsewhere_states_its_own_residuals() -> None:
 
 class TestDecide:
     GOOD = registered(planted(seed=6))
+    MOST = Agreement(85, 90)
+
+    def decoys(self, *scores: float) -> list[NullSample]:
+        return [NullSample(score, Agreement(9 + k, 90)) for k, score in enumerate(scores)]
 
     @pytest.mark.parametrize(
         ("change", "scores", "word"),
@@ -191,40 +203,48 @@ class TestDecide:
             ({}, [100.0, 90.0], "a competing hypothesis scores 90, the best 100; at least 117"),
             ({}, [60.0, 100.0], "a competing hypothesis scores 100"),
             ({"n_inliers": 49, "n_matches": 100}, SCORES, "49 matches"),
-            ({"n_inliers": 150}, SCORES, "inlier ratio 18.8 % is below the minimum of 20 %"),
-            ({"diagnostics": {"cells": 9.0}}, SCORES, "9 independent cells"),
             ({"tilt_deg": 10.5}, SCORES, "10.5°"),
         ],
     )
     def test_each_reason(self, change: dict[str, object], scores: list[float], word: str) -> None:
-        decided = decide(replace(self.GOOD, **change), scores, 1000)  # type: ignore[arg-type]
+        decided = decide(replace(self.GOOD, **change), scores, 1000, agreement=self.MOST)  # type: ignore[arg-type]
         assert not decided.registered and word in decided.reason
         (failed,) = [one for one in decided.criteria if not one.passed]
         assert remedy_of({"criteria": [asdict(one) for one in decided.criteria]}) == KINDS[failed.kind].remedy
 
     def test_good_is_good_and_one_place_needs_no_second(self) -> None:
-        assert decide(self.GOOD, SCORES, 1000).registered
-        assert decide(self.GOOD, [100.0], 1000).registered
+        assert decide(self.GOOD, SCORES, 1000, agreement=self.MOST).registered
+        assert decide(self.GOOD, [100.0], 1000, agreement=self.MOST).registered
+
+    def test_few_cells_are_too_few_whatever_the_share(self) -> None:
+        decided = decide(self.GOOD, SCORES, 1000, agreement=Agreement(9, 9))
+        assert not decided.registered and "9 independent cells" in decided.reason
+        assert decide(self.GOOD, SCORES, 1000, agreement=Agreement(10, 12)).registered
 
     def test_the_score_must_be_significantly_above_decoys(self) -> None:
         """Three times their score is significant; a third more is not."""
-        good = decide(self.GOOD, SCORES, 1000, decoys=[30.0, 33.0, 28.0, 31.0])
+        good = decide(self.GOOD, SCORES, 1000, agreement=self.MOST, decoys=self.decoys(30.0, 33.0, 28.0, 31.0))
         assert good.registered and 0 < good.diagnostics["false_alarm_probability"] < 1e-3
         assert good.diagnostics["decoy_score"] == 33
-        poor = decide(self.GOOD, [60.0, 30.0], 1000, decoys=[45.0, 50.0, 42.0, 46.0])
-        assert not poor.registered and "decoys reach 50" in poor.reason
-        assert "false-alarm probability 2.37 %" in poor.reason
+        some, decoys = Agreement(30, 90), self.decoys(45.0, 50.0, 42.0, 46.0)
+        poor = decide(self.GOOD, [60.0, 30.0], 1000, agreement=some, decoys=decoys)
+        assert not poor.registered and "decoys reach 50 and 12 in this reference" in poor.reason
 
-    def test_heights_may_deny(self) -> None:
-        for heights, registered_ in ((None, True), (0.5, True), (0.1, False), (-0.9, False)):
-            decided = decide(self.GOOD, SCORES, 1000, heights=heights)
-            assert decided.registered == registered_
-            assert decided.diagnostics.get("height_agreement") == heights
-        assert "(correlation -0.9; at least 0.2 is required)" in decided.reason
+    def test_agreement_makes_up_for_a_score_that_decoys_nearly_reach(self) -> None:
+        decoys = self.decoys(45.0, 50.0, 42.0, 46.0)
+        assert decide(self.GOOD, [60.0, 30.0], 1000, agreement=Agreement(89, 90), decoys=decoys).registered
+
+    def test_a_score_without_agreement_is_refused(self) -> None:
+        """As at a place that looks alike in the large and in nothing else."""
+        decided = decide(
+            self.GOOD, SCORES, 1000, agreement=Agreement(14, 90), decoys=self.decoys(30.0, 33.0, 28.0, 31.0)
+        )
+        assert not decided.registered and "matches agree in 14 of 90 independent cells" in decided.reason
 
     def test_thresholds_are_options(self) -> None:
-        assert not decide(self.GOOD, SCORES, 1000, RegisterOptions(min_score=101.0)).registered
-        assert decide(self.GOOD, [30.0, 25.0], 9, RegisterOptions(min_score=20.0, min_score_margin=1.1)).registered
+        strict, mild = RegisterOptions(min_score=101.0), RegisterOptions(min_score=20.0, min_score_margin=1.1)
+        assert not decide(self.GOOD, SCORES, 1000, strict, agreement=self.MOST).registered
+        assert decide(self.GOOD, [30.0, 25.0], 9, mild, agreement=self.MOST).registered
 
 
 class TestCameraAccuracy:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pixels to points: exact where both surfaces are known and smooth, nothing elsewhere."""
+"""Pixels to points: exact where both surfaces are known and smooth; in plan alone where the reference is not."""
 
 from __future__ import annotations
 
@@ -63,6 +63,10 @@ def at_reference(*px: tuple[float, float]) -> Matches2D:
     return Matches2D(np.full((len(px), 2), 60.3), np.array(px), np.ones(len(px)))
 
 
+def with_height(found: Matches3D) -> int:
+    return int(np.isfinite(found.xyz_enu[:, 2]).sum())
+
+
 def test_points_are_exact_between_pixel_centres(render: Render, reference: Reference) -> None:
     wanted = matches()
     found = lifted(wanted, render, reference)
@@ -74,16 +78,20 @@ def test_points_are_exact_between_pixel_centres(render: Render, reference: Refer
     np.testing.assert_array_equal(found.pixels.confidence, wanted.confidence)
 
 
-def test_what_has_no_height_is_dropped(render: Render, reference: Reference) -> None:
+def test_without_a_height_of_the_model_nothing_is_left_and_without_the_references_the_place_is(
+    render: Render, reference: Reference
+) -> None:
     xyz, height = render.xyz.copy(), reference.height.copy()
     xyz[100:140, 100:140] = np.nan
     height[50:80, 50:80] = np.nan
     render, reference = replace(render, xyz=xyz), replace(reference, height=height)
     assert len(lifted(at_render((120, 120), (99.8, 120)), render, reference)) == 0
-    assert len(lifted(at_reference((65, 65), (50.2, 65)), render, reference)) == 0
+    in_plan = lifted(at_reference((65, 65), (50.2, 65)), render, reference)
+    assert len(in_plan) == 2 and with_height(in_plan) == 0
+    np.testing.assert_allclose(in_plan.xyz_enu[:, :2], [[-27.5, 17.5], [-34.9, 17.5]], atol=1e-9)
     # Nothing is lost beyond the holes: the last known pixels are no edge.
     assert len(lifted(at_render((98.4, 120), (120, 142.4)), render, reference)) == 2
-    assert len(lifted(at_reference((48.4, 65)), render, reference)) == 1
+    assert with_height(lifted(at_reference((48.4, 65)), render, reference)) == 1
 
 
 def test_what_is_outside_is_dropped(render: Render, reference: Reference) -> None:
@@ -113,16 +121,18 @@ def test_edges_are_dropped_and_roofs_kept(render: Render, reference: Reference, 
         height[80:160, 80:160] += 6
         reference, pixel_m, make = replace(reference, height=height), 0.5, at_reference
     near, far = 0.4 / pixel_m, 1.6 / pixel_m
-    assert len(lifted(make((80 - near, 120), (80 + near, 120), (120, 160 - near)), render, reference)) == 0
-    assert len(lifted(make((80 - far, 120), (80 + far, 120), (120, 160 - far), (120, 120)), render, reference)) == 4
+    at_edges = lifted(make((80 - near, 120), (80 + near, 120), (120, 160 - near)), render, reference)
+    assert len(at_edges) == (0 if side == "render" else 3) and with_height(at_edges) == 0
+    beside = lifted(make((80 - far, 120), (80 + far, 120), (120, 160 - far), (120, 120)), render, reference)
+    assert len(beside) == with_height(beside) == 4
 
 
 def test_steep_ground_is_kept(render: Render, reference: Reference) -> None:
     plan = GRID.centres()
     slope = replace(reference, height=(0.6 * plan[..., 0]).astype(np.float32))
-    assert len(lifted(matches(), render, slope)) == 400
+    assert with_height(lifted(matches(), render, slope)) == 400
     cliff = replace(reference, height=(3.0 * plan[..., 0]).astype(np.float32))
-    assert len(lifted(matches(), render, cliff)) == 0
+    assert with_height(lifted(matches(), render, cliff)) == 0
 
 
 def test_no_matches(render: Render, reference: Reference) -> None:

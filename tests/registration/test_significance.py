@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""False-alarm probabilities are calibrated; heights can contradict colours."""
+"""False-alarm probabilities are calibrated, of scores and of agreement."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.stats import norm
 
-from skymoor.registration import false_alarm_probability, height_agreement
+from skymoor.registration import Agreement, false_alarm_probability
+from skymoor.registration.significance import agreement_probability, combined_probability
 
 
 def test_false_alarm_probabilities_are_calibrated(rng: np.random.Generator) -> None:
@@ -30,27 +31,36 @@ def test_it_falls_with_the_score_and_rises_with_the_spread() -> None:
     assert false_alarm_probability(40, []) == 1.0 == false_alarm_probability(0, [20.0])
 
 
-def relief(rng: np.random.Generator) -> np.ndarray:
-    field = gaussian_filter(rng.normal(size=(160, 200)), 8)
-    return (4 * field / field.std()).astype(np.float32)
+def test_an_agreement_beyond_that_of_decoys_is_significant() -> None:
+    """Shares of wrong hypotheses as measured; right ones agree in nearly all cells."""
+    decoys = [Agreement(3, 7), Agreement(4, 13), Agreement(2, 12), Agreement(15, 22)]
+    assert agreement_probability(Agreement(32, 32), decoys) < 0.005
+    assert agreement_probability(Agreement(6, 36), decoys) > 0.3
+    assert agreement_probability(Agreement(265, 266), [Agreement(8, 247), Agreement(6, 23)]) < 0.001
+    assert agreement_probability(Agreement(32, 32), []) == 1.0
 
 
-def test_the_same_relief_agrees_and_another_does_not(rng: np.random.Generator) -> None:
-    height = relief(rng)
-    slope = np.linspace(0, 30, 200, dtype=np.float32)
-    noisy = height + slope + rng.normal(scale=2.0, size=height.shape).astype(np.float32)
-    noisy[:, :20] = np.nan
-    same = height_agreement(noisy, height, 0.5)
-    assert same is not None and same > 0.9
-    others = [height_agreement(relief(rng) + slope, height, 0.5) for _ in range(10)]
-    assert np.mean([abs(other or 0) for other in others]) < 0.35
-    assert height_agreement(-height, height, 0.5) == pytest.approx(-1, abs=0.01)
+def test_agreement_probabilities_are_calibrated(rng: np.random.Generator) -> None:
+    found = []
+    for _ in range(3000):
+        shares = 1 / (1 + np.exp(1.5 - 0.75 * rng.normal(size=5)))
+        *decoys, other = (Agreement(round(400 * share), 400) for share in shares)
+        found.append(agreement_probability(other, decoys))
+    assert 0.03 < np.mean(np.array(found) < 0.05) < 0.07
 
 
-def test_where_there_is_nothing_to_agree_about(rng: np.random.Generator) -> None:
-    height = relief(rng)
-    assert height_agreement(height, 0.02 * height, 0.5) is None
-    few = np.full_like(height, np.nan)
-    few[:20, :20] = height[:20, :20]
-    assert height_agreement(few, height, 0.5) is None
-    assert height_agreement(np.full_like(height, np.nan), height, 0.5) is None
+def test_one_strong_evidence_is_enough_and_two_weak_ones_are_not() -> None:
+    assert combined_probability([1e-6, 0.3]) == pytest.approx(2e-6, rel=0.01)
+    assert combined_probability([0.0064, 3e-5]) < 1e-4
+    assert combined_probability([0.02, 0.02]) == pytest.approx(0.02, rel=1e-6)
+    assert combined_probability([1e-14, 1e-14]) == pytest.approx(1e-14, rel=0.01)
+    assert combined_probability([1.0, 1.0]) > 0.99
+
+
+def test_the_combination_holds_for_evidence_that_depends_on_each_other(rng: np.random.Generator) -> None:
+    """Probabilities of correlated normal deviates: no more than the stated share is below 1 %."""
+    for correlation in (0.0, 0.7, 0.99):
+        z = rng.normal(size=(20000, 2))
+        z[:, 1] = correlation * z[:, 0] + np.sqrt(1 - correlation**2) * z[:, 1]
+        combined = np.array([combined_probability(p) for p in norm.sf(z)])
+        assert 0.005 < np.mean(combined < 0.01) < 0.0125

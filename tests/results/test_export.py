@@ -26,8 +26,9 @@ from pyproj import Transformer
 from skymoor.cli.main import main
 from skymoor.errors import InputError
 from skymoor.results.export import chosen_formats, export
-from skymoor.results.formats import cameras_kml, odm_geo, photo_with_position, position_xmp
+from skymoor.results.formats import cameras_geopackage, cameras_kml, odm_geo, photo_with_position, position_xmp
 from skymoor.results.formats._registry import FORMATS
+from skymoor.results.formats.exif import gps_tags
 from skymoor.results.read import Result
 from skymoor.results.tables import CameraRow
 from skymoor.types import Array
@@ -331,3 +332,33 @@ def test_a_run_without_a_place_or_file_is_told(run: Path, tmp_path: Path) -> Non
     with pytest.raises(InputError, match=r"pointcloud\.laz: is missing from the run"):
         export(replace(result, folder=tmp_path / "b"), ["laz"], tmp_path / "out", lambda _: None)
     assert not (tmp_path / "out" / "laz").exists()
+
+
+def test_a_height_that_is_not_confirmed_is_in_no_format_that_can_do_without(tmp_path: Path) -> None:
+    row = CameraRow("a.jpg", "airborne", 0, "REGISTERED", 46.5, 7.25, None, 1.0, 2.0, 60.0, ce90=2.0)
+    assert odm_geo([row]).splitlines()[1] == "a.jpg 7.2500000000 46.5000000000"
+    assert "GPSAltitude=" not in position_xmp(row) and "GPSLatitude=" in position_xmp(row)
+    assert ExifTags.GPS.GPSAltitude not in gps_tags(row) and ExifTags.GPS.GPSLatitude in gps_tags(row)
+    (tmp_path / "cameras.gpkg").write_bytes(cameras_geopackage([row]))
+    _, _, points, _ = pyogrio.raw.read(tmp_path / "cameras.gpkg")
+    assert struct.unpack("<dd", points[0][5:21]) == (7.25, 46.5)
+
+
+def test_formats_that_need_heights_say_that_they_are_not_confirmed(run: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(run, tmp_path / "run")
+    path = copy / "summary.json"
+    summary = json.loads(path.read_text())
+    for part in summary["sets"][0]["components"]:
+        part["heights"] = "NOT_CONFIRMED"
+    path.write_text(json.dumps(summary))
+    told: list[str] = []
+    export(Result.read(copy), ["colmap,geojson"], tmp_path / "out", told.append)
+    said = {
+        name: json.loads((tmp_path / "out" / name / "export.json").read_text())["heights"]
+        for name in FORMATS
+        if (tmp_path / "out" / name).exists()
+    }
+    assert said["colmap"].startswith("NOT_CONFIRMED") and said["geojson"].startswith("none")
+    assert "NOT_CONFIRMED" in told[0]
+    beside = next((tmp_path / "out/colmap").rglob("georeference.json"))
+    assert json.loads(beside.read_text())["heights"] == "NOT_CONFIRMED"

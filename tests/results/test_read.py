@@ -82,6 +82,6 @@ def test_a_damaged_summary_is_told(run: Path, content: str) -> None:
 
 def test_columns_that_a_former_version_did_not_write_are_none(run: Path) -> None:
     lines = (run / "cameras.csv").read_text(encoding="utf-8").splitlines()
-    former = [",".join(line.split(",")[:-2]) for line in lines]
+    former = [",".join(line.split(",")[:-3]) for line in lines]
     (run / "cameras.csv").write_text("\n".join(former), encoding="utf-8")
     assert Result.read(run).cameras == (replace(PLACED, relative_ce90=None, relative_le90=None), LOST)

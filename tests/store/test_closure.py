@@ -16,7 +16,7 @@ from skymoor.ground.walls import check_ground_poses, search_ground, walls_of_com
 from skymoor.match import StructuralMatcher
 from skymoor.model import MeshBuilder, NerfBuilder, render_nadir, render_obliques
 from skymoor.orient import ground_points
-from skymoor.pipeline.null_scores import null_scores
+from skymoor.pipeline.null_samples import null_samples
 from skymoor.pipeline.register_best import register_best
 from skymoor.pipeline.search import search_reference
 from skymoor.reconstruct import reconstruct, with_focal
@@ -40,7 +40,7 @@ STAGES: dict[str, Callable[..., object]] = {
     "nadir": render_nadir,
     "obliques": render_obliques,
     "search": search_reference,
-    "decoys": null_scores,
+    "decoys": null_samples,
     "register": register_best,
     "walls": walls_of_components,
     "metric": metric_scale_of_photos,

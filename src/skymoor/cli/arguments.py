@@ -27,7 +27,8 @@ class Run:
 
     skymoor run site.toml --out result --set model.kind=nerf --set match.max_height_m=150
 
-    Exit status: 0 everything is registered, 3 something is not, 2 wrong input or usage, 1 an error of skymoor.
+    Exit status: 0 everything is registered, 3 something is not (or, with --require-heights, has no
+    confirmed heights), 2 wrong input or usage, 1 an error of skymoor.
     """
 
     site: Annotated[Path | None, tyro.conf.Positional] = None
@@ -50,6 +51,8 @@ class Run:
     """Linear (vertical) error of the reference, 90 percent, metres."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """An option by its dotted name, for example --set match.max_height_m=150; may be repeated."""
+    require_heights: bool = False
+    """Exit with 3 also where a component is registered but its heights are not confirmed."""
     seed: int = 0
     """Makes a run repeatable."""
     quiet: bool = False

@@ -68,7 +68,7 @@ def run(command: Run) -> bool:
             screen.note(line)
         screen.note(f"results in {command.out}; to read: {command.out / PAGE}")
         screen.answer({"out": command.out.resolve(), "site": summary["site"], "sets": summary["sets"]})
-    return result.registered
+    return result.registered and (result.heights_confirmed or not command.require_heights)
 
 
 def evaluate(command: Evaluate) -> None:

@@ -20,7 +20,18 @@ from skymoor.registration.criteria import remedy_of
 def summary_table(summary: dict[str, Any]) -> Table:
     """One line per component."""
     table = Table(title=Text(summary["site"]))  # Text, because square brackets in a name are no markup
-    for heading in ("set", "component", "status", "cameras", "matches", "inliers", "CE90 m", "LE90 m", "remark"):
+    for heading in (
+        "set",
+        "component",
+        "status",
+        "cameras",
+        "matches",
+        "inliers",
+        "CE90 m",
+        "LE90 m",
+        "heights",
+        "remark",
+    ):
         table.add_column(heading)
     for item in summary["sets"]:
         for component in item["components"]:
@@ -33,11 +44,18 @@ def summary_table(summary: dict[str, Any]) -> Table:
                 f"{component['inlier_ratio']:.0%}",
                 _number(component.get("predicted_ce90_m")),
                 _number(component.get("predicted_le90_m")),
-                Text(component["reason"] or component["calibration_note"]),
+                component.get("heights") or "-",
+                Text(component["reason"] or _remark(component)),
             )
         if not item["components"]:
-            table.add_row(item["set"], "-", item["status"], "0", "-", "-", "-", "-", item["reason"])
+            table.add_row(item["set"], "-", item["status"], "0", "-", "-", "-", "-", "-", item["reason"])
     return table
+
+
+def _remark(component: dict[str, Any]) -> str:
+    """What a person must know of the heights of a registered component."""
+    height = component.get("height_verdict") or {}
+    return "; ".join(text for text in (height.get("reason", ""), component["calibration_note"]) if text)
 
 
 def remedies(summary: dict[str, Any]) -> list[str]:

@@ -27,6 +27,8 @@ NAMED_IN_MESSAGE = 3
 class Estimate:
     """One line of cameras.csv: WGS 84 degrees and ellipsoidal metres, all None where the camera is not registered.
 
+    The height alone is None where the heights are not confirmed.
+
     `component` is None for an image that is in no reconstruction; `ce90`, `le90` are the predicted accuracy in metres,
     `relative_ce90`, `relative_le90` the same without the error of the reference.
     """
@@ -42,6 +44,7 @@ class Estimate:
     le90: float | None = None
     relative_ce90: float | None = None
     relative_le90: float | None = None
+    heights: str | None = None
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,8 @@ class EvaluationRow:
     the cameras whose horizontal error is within their predicted CE90, and whose vertical error is within their LE90.
     (They share the reference's error: of one component, most are within or most are not.)
 
-    Every measure is None where the component is not registered; `rmse_procrustes_m` also where fewer than three cameras
+    Every measure is None where the component is not registered, and those that need heights where its heights are not
+    confirmed; `rmse_procrustes_m` also where fewer than three cameras
     or collinear ones do not determine the fit. `n_truth` counts the component's cameras that are in the truth.
     """
 
@@ -141,10 +145,13 @@ def _row(
             f"the truth lacks {len(missing)} of {len(group)} images of {name[0]} component {name[1]}: {shown}; "
             "name them relative to the site's folder"
         )
-    positions, truth = _positions(group, frame), np.array([truth_enu[estimate.image] for estimate in group])
+    truth = np.array([truth_enu[estimate.image] for estimate in group])
+    positions = _positions(group, truth, frame)
     errors = positions - truth
     horizontal, vertical = np.linalg.norm(errors[:, :2], axis=1), np.abs(errors[:, 2])
     bias = errors.mean(axis=0)
+    if any(estimate.height is None for estimate in group):
+        return _in_plan(name, group, n_truth, horizontal, bias)
     absolute, relative = np.linalg.norm(errors, axis=1), np.linalg.norm(errors - bias, axis=1)
     return EvaluationRow(
         *name,
@@ -173,8 +180,29 @@ def _row(
     )
 
 
-def _positions(group: Sequence[Estimate], frame: EnuFrame) -> Array:
-    lla = np.array([(estimate.lat, estimate.lon, estimate.height) for estimate in group], dtype=np.float64)
+def _in_plan(
+    name: tuple[str, int], group: Sequence[Estimate], n_truth: int, horizontal: Array, bias: Array
+) -> EvaluationRow:
+    """The measures that need no heights."""
+    return EvaluationRow(
+        *name,
+        "REGISTERED",
+        len(group),
+        n_truth,
+        mean_horizontal_m=float(horizontal.mean()),
+        predicted_ce90_m=_mean([estimate.ce90 for estimate in group]),
+        bias_east_m=float(bias[0]),
+        bias_north_m=float(bias[1]),
+        predicted_relative_ce90_m=_mean([estimate.relative_ce90 for estimate in group]),
+        share_within_ce90=_share_within(horizontal, [estimate.ce90 for estimate in group]),
+    )
+
+
+def _positions(group: Sequence[Estimate], truth_enu: Array, frame: EnuFrame) -> Array:
+    """Positions (n, 3) ENU; at the true height where there is none."""
+    true_heights = frame.lla_from_enu(truth_enu)[:, 2]
+    heights = [true if one.height is None else one.height for one, true in zip(group, true_heights, strict=True)]
+    lla = np.array([(one.lat, one.lon, h) for one, h in zip(group, heights, strict=True)], dtype=np.float64)
     for estimate, row in zip(group, lla, strict=True):
         if not np.isfinite(row).all():
             raise InputError(

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from skymoor.engines.options import FIXED
-from skymoor.match.search import ReferencePyramid, SearchOptions, search_in
+from skymoor.match.search import ImageHypothesis, ReferencePyramid, SearchOptions, search_in
 from skymoor.types import Progress, Raster, no_progress
 
 MIN_DECOYS = 2
@@ -35,7 +36,7 @@ class DecoyOptions:
     keep: int = field(default=4, metadata=FIXED)
 
 
-def decoy_scores(
+def search_decoys(
     a: Raster,
     b: Raster,
     *,
@@ -46,25 +47,31 @@ def decoy_scores(
     rng: np.random.Generator,
     enough: Callable[[Sequence[float]], bool] = lambda _: False,
     progress: Progress = no_progress,
-) -> list[float]:
-    """The best score of each decoy of `a` in `b`: null scores for those of `search_hypotheses`.
+) -> list[tuple[Raster, ImageHypothesis]]:
+    """Decoys of `a` with their best hypotheses in `b`: null samples for those of `search_hypotheses`.
 
     Arguments are those of `search_hypotheses`; `rng` shuffles the blocks. From the second decoy on, the loop stops
     early once `enough(scores)` is true: each decoy costs as much as the search.
     """
     decoys = decoys or DecoyOptions()
     options = replace(options or SearchOptions(), keep=decoys.keep)
-    reference, scores = ReferencePyramid(b), []
+    reference = ReferencePyramid(b)
+    best: list[tuple[Raster, ImageHypothesis]] = []
     for decoy in make_decoys(a, decoys, rng):
         found = search_in(
             reference, decoy, min_scale=min_scale, max_scale=max_scale, options=options, progress=no_progress
         )
-        scores += [found[0].score] if found else []
-        if len(scores) >= MIN_DECOYS and enough(scores):
+        best += [(decoy, found[0])] if found else []
+        if len(best) >= MIN_DECOYS and enough([hypothesis.score for _, hypothesis in best]):
             break
-        progress(len(scores), decoys.count)
+        progress(len(best), decoys.count)
     progress(decoys.count, decoys.count)
-    return scores
+    return best
+
+
+def decoy_scores(a: Raster, b: Raster, **arguments: Any) -> list[float]:
+    """The best score of each decoy; arguments are those of `search_decoys`."""
+    return [hypothesis.score for _, hypothesis in search_decoys(a, b, **arguments)]
 
 
 def make_decoys(a: Raster, options: DecoyOptions, rng: np.random.Generator) -> Iterator[Raster]:

@@ -17,17 +17,18 @@ from skymoor.match import ImageHypothesis
 from skymoor.model import SceneModel, render_nadir
 from skymoor.orient import GroundLabeler, estimate_gravity, ground_points, level_from_gravity
 from skymoor.pipeline.job import ComponentResult, Job, MapHypothesis, or_else, refused
-from skymoor.pipeline.null_scores import null_scores
-from skymoor.pipeline.overlay import warp_to_reference
-from skymoor.pipeline.register_best import register_best
+from skymoor.pipeline.null_samples import null_samples
+from skymoor.pipeline.register_best import Prior, register_best
 from skymoor.pipeline.search import search_reference
 from skymoor.reconstruct import ReconstructOptions, reconstruct, with_focal
-from skymoor.registration import HeightScale, estimate_height_scale, focal_correction
+from skymoor.registration import focal_posterior, inlier_limit_m
 from skymoor.registration.criteria import criterion, with_criteria
 from skymoor.types import Component, DepthMap, Mask, Matches3D, Reference, Registration, Render
 
 DECISIVE = 1 / 50
 """Share of the largest false-alarm probability below which further decoys could not change the verdict."""
+IMMATERIAL = 0.25
+"""Standard deviations below which a correction of the focal length is left out: they grow by 3 %, a run is saved."""
 
 
 def register_airborne(job: Job) -> list[ComponentResult]:
@@ -58,12 +59,20 @@ def ground_of(name: str, component: Component, labeler: GroundLabeler | None, jo
 
 
 def register_component(name: str, component: Component, job: Job) -> ComponentResult:
-    """Register one component; once more where the reference's relief corrects its focal length."""
+    """Register one component; once more where the reference's relief corrects its focal length.
+
+    Photos and relief are combined in one posterior of the focal length. A correction within a part of its own standard
+    deviation is left alone and counts as an error.
+    """
     first = _register(name, component, job)
-    correction = focal_correction(first.relief, component.calibration, job.options.relief)
-    if correction is None:
+    heights, calibration = first.registration.heights, component.calibration
+    posterior = None if heights is None else focal_posterior(heights, calibration)
+    if not first.registration.registered or posterior is None or calibration is None:
         return first
-    refocused = job.store.stage(f"{name}.refocus", with_focal, component, *correction)
+    ratio, sigma = posterior
+    if abs(np.log(ratio)) < IMMATERIAL * sigma:
+        return replace(first, component=replace(first.component, calibration=calibration.narrowed(ratio, sigma)))
+    refocused = job.store.stage(f"{name}.refocus", with_focal, component, ratio, sigma)
     second = _register(f"{name}-refocused", refocused, job)
     return second if second.registration.registered else first
 
@@ -88,10 +97,11 @@ def _register(name: str, component: Component, job: Job) -> ComponentResult:
         none = Registration(registered=False, reason="", enu_from_level=None)
         nothing = with_criteria(none, [criterion("map_hypotheses", 0, 1)])
         return ComponentResult(name, level, level_from_sfm, nothing, gravity, depths, model, render)
-    registration, matches = _consensus(name, hypotheses, render, job)
+    prior = Prior(gravity.sigma_deg, component.calibration)
+    registration, matches = _consensus(name, hypotheses, render, prior, job)
     found = ComponentResult(name, level, level_from_sfm, registration, gravity, depths, model, render, matches)
     on_map = [_on_map(hypothesis, render, job.reference) for hypothesis in hypotheses]
-    return replace(found, relief=_relief(registration, render, job), pose_checks=checks, hypotheses=on_map)
+    return replace(found, pose_checks=checks, hypotheses=on_map)
 
 
 def densify_component(name: str, level: Component, job: Job, estimator: DepthEstimator) -> list[DepthMap]:
@@ -122,13 +132,14 @@ def _search(name: str, render: Render, job: Job) -> list[ImageHypothesis]:
 
 
 def _consensus(
-    name: str, hypotheses: Sequence[ImageHypothesis], render: Render, job: Job
+    name: str, hypotheses: Sequence[ImageHypothesis], render: Render, prior: Prior, job: Job
 ) -> tuple[Registration, Matches3D]:
     """The registration that most independent matches confirm, accepted or refused."""
     options, match = job.options, job.options.match
+    matcher = options.engines.dense_matcher(match.matcher)
     decoys = job.store.stage(
         f"{name}.decoys",
-        null_scores,
+        null_samples,
         hypotheses[0].score,
         render,
         job.reference,
@@ -136,6 +147,10 @@ def _consensus(
         match.min_height_confidence,
         match.search,
         match.decoys,
+        matcher,
+        match.cyclic,
+        inlier_limit_m(job.reference.grid.pixel_m, options.register),
+        options.register.correlation_m,
         decisive=options.register.max_false_alarm * DECISIVE,
         seed=job.seed,
         progress=job.track("decoys"),
@@ -147,7 +162,8 @@ def _consensus(
         decoys,
         render,
         job.reference,
-        options.engines.dense_matcher(match.matcher),
+        matcher,
+        prior,
         candidates=match.candidates,
         min_confidence=match.min_height_confidence,
         cyclic=match.cyclic,
@@ -155,15 +171,6 @@ def _consensus(
         options=options.register,
         seed=job.seed,
     )
-
-
-def _relief(registration: Registration, render: Render, job: Job) -> HeightScale | None:
-    """The model's relief against the reference's; None without a registration, or where either is flat."""
-    if not registration.registered:
-        return None
-    reference, options = job.reference, job.options
-    _, up = warp_to_reference(render, registration, reference, options.match.min_height_confidence)
-    return estimate_height_scale(up, reference.height, reference.grid.pixel_m, options.relief)
 
 
 def _on_map(hypothesis: ImageHypothesis, render: Render, reference: Reference) -> MapHypothesis:

@@ -16,7 +16,6 @@ from skymoor.geometry import Similarity
 from skymoor.ground.walls import GroundPoseCheck
 from skymoor.model import SceneModel
 from skymoor.pipeline.options import Options
-from skymoor.registration import HeightScale
 from skymoor.store import Store
 from skymoor.types import (
     Array,
@@ -24,6 +23,7 @@ from skymoor.types import (
     Component,
     DepthMap,
     Gravity,
+    HeightVerdict,
     Image,
     Mask,
     Matches3D,
@@ -91,7 +91,6 @@ class ComponentResult:
     model: SceneModel | None = None
     render: Render | None = None
     matches: Matches3D | None = None
-    relief: HeightScale | None = None
     base: ComponentResult | None = None
     walls: Image | None = None
     pose_checks: Sequence[GroundPoseCheck | PoseCheck] = ()
@@ -106,6 +105,11 @@ class ComponentResult:
             return []
         trusted = zip(self.component.cameras, self._trusted, strict=True)
         return [camera.transformed(found.enu_from_level) for camera, is_trusted in trusted if is_trusted]
+
+    @property
+    def heights(self) -> HeightVerdict | None:
+        """The verdict on heights: a ground component shares that of the airborne one that it is registered to."""
+        return self.registration.heights if self.base is None else self.base.heights
 
     @property
     def shape_enu(self) -> Array | None:

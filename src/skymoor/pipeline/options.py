@@ -24,7 +24,7 @@ from skymoor.pipeline.engines import (
     StereoName,
 )
 from skymoor.reconstruct import ReconstructOptions
-from skymoor.registration import HeightScaleOptions, LiftOptions, RegisterOptions
+from skymoor.registration import LiftOptions, RegisterOptions
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,6 @@ class Options:
     match: MatchOptions = field(default_factory=MatchOptions)
     lift: LiftOptions = field(default_factory=LiftOptions)
     register: RegisterOptions = field(default_factory=RegisterOptions)
-    relief: HeightScaleOptions = field(default_factory=HeightScaleOptions)
     ground: GroundChoices = field(default_factory=GroundChoices)
 
 

@@ -6,22 +6,20 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from skymoor.errors import DegenerateGeometry
+from skymoor.geometry import Similarity
 from skymoor.match.align import warp_raster
 from skymoor.match.rasters import nadir_raster
-from skymoor.types import Array, Array32, Raster, Reference, Registration, Render
+from skymoor.types import Array, Array32, Raster, Reference, Render
 
 
 def warp_to_reference(
-    render: Render, registration: Registration, reference: Reference, min_confidence: float
+    render: Render, enu_from_level: Similarity, reference: Reference, min_confidence: float
 ) -> tuple[Raster, Array32]:
     """The registered nadir render on the reference's grid, and its confident heights, ENU up in metres."""
-    if registration.enu_from_level is None:
-        raise DegenerateGeometry("the model is not registered")
-    b_from_a = reference_from_render(render, registration, reference)
+    b_from_a = reference_from_render(render, enu_from_level, reference)
     # `warp_raster` keeps heights in pixels: give it metres in pixels of the render, and it returns them in the grid's.
-    metres_per_px = registration.enu_from_level.scale * render.view.pixel
-    up = registration.enu_from_level.apply(render.xyz.astype(np.float64))[..., 2] / metres_per_px
+    metres_per_px = enu_from_level.scale * render.view.pixel
+    up = enu_from_level.apply(render.xyz.astype(np.float64))[..., 2] / metres_per_px
     raster = nadir_raster(render, min_confidence)
     known = raster.height is not None and np.isfinite(raster.height)
     raster = Raster(raster.rgb, raster.mask, np.where(known, up, np.nan).astype(np.float32))
@@ -31,12 +29,10 @@ def warp_to_reference(
     return warped, np.asarray(warped.height * np.float32(reference.grid.pixel_m), dtype=np.float32)
 
 
-def reference_from_render(render: Render, registration: Registration, reference: Reference) -> Array:
+def reference_from_render(render: Render, enu_from_level: Similarity, reference: Reference) -> Array:
     """(2, 3) affine from the render's pixels to the reference's, at ground level."""
-    if registration.enu_from_level is None:
-        raise DegenerateGeometry("the model is not registered")
     corners = np.array([[0.0, 0.0], [render.view.shape[1], 0.0], [0.0, render.view.shape[0]]])
     view = np.column_stack([[render.view.x0, render.view.y0] + corners * render.view.pixel, np.zeros(3)])
     level = view @ render.view.view_from_level
-    px = reference.grid.px_from_enu(registration.enu_from_level.apply(level)[:, :2])
+    px = reference.grid.px_from_enu(enu_from_level.apply(level)[:, :2])
     return np.asarray(cv2.getAffineTransform(corners.astype(np.float32), px.astype(np.float32)))

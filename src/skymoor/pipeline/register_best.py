@@ -4,25 +4,58 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from skymoor.errors import DegenerateGeometry, TooFewMatches
+from skymoor.geo import sample
 from skymoor.match.align import match_hypothesis
 from skymoor.match.cyclic import CyclicOptions
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.rasters import nadir_raster, reference_raster
 from skymoor.match.search import ImageHypothesis
 from skymoor.pipeline.overlay import warp_to_reference
-from skymoor.registration import LiftOptions, RegisterOptions, decide, height_agreement, lift, register
-from skymoor.types import Matches3D, Reference, Registration, Render
+from skymoor.registration import (
+    HeightFit,
+    LiftOptions,
+    NullSample,
+    RegisterOptions,
+    compare_heights,
+    decide,
+    fit_plan,
+    flat_transform,
+    ground_level,
+    inlier_limit_m,
+    is_bare_earth,
+    judge_heights,
+    lift,
+    place_on_map,
+    raised,
+)
+from skymoor.registration.agreement import Agreement, count_cells
+from skymoor.registration.on_map import FINE_M
+from skymoor.types import Array, Array32, Calibration, HeightVerdict, Matches3D, Reference, Registration, Render
+
+MIN_TILT_SIGMA_DEG = 0.3
+"""Floor of the levelling's own figure, which is a formal one."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What the photos alone say of a model: how well it is levelled, and the focal lengths that they leave open."""
+
+    tilt_sigma_deg: float
+    calibration: Calibration | None
 
 
 def register_best(
     hypotheses: Sequence[ImageHypothesis],
-    decoys: Sequence[float],
+    decoys: Sequence[NullSample],
     render: Render,
     reference: Reference,
     matcher: DenseMatcher,
+    prior: Prior,
     *,
     candidates: int,
     min_confidence: float,
@@ -35,8 +68,9 @@ def register_best(
 
     Args:
         hypotheses: hypotheses of the search, best first; `candidates` of them are matched.
-        decoys: null scores of the same search.
+        decoys: null samples of the same search.
         render, reference: what is matched, by `matcher`.
+        prior: what the photos say.
         min_confidence: heights of the render below it are left out.
         cyclic, lift_options, options: of the steps.
         seed: of random choices.
@@ -49,12 +83,63 @@ def register_best(
         metres_per_level = hypothesis.scale * reference.grid.pixel_m / render.view.pixel
         matches_2d, _ = match_hypothesis(image, map_image, b_from_a, matcher, cyclic, rng=rng)
         matches = lift(matches_2d, render, reference, metres_per_level, lift_options)
-        registration = register(matches, reference.grid.pixel_m, options, rng=rng)
-        heights = None
-        if registration.registered:
-            _, up = warp_to_reference(render, registration, reference, min_confidence)
-            heights = height_agreement(up, reference.height, reference.grid.pixel_m)
+        above_m = _above_ground(matches, render, metres_per_level)
+        registration = register_on_map(matches, above_m, render, reference, prior, options, min_confidence, rng=rng)
+        agreement = Agreement(0, 1)
+        if registration.inliers is not None:
+            cell_px = options.correlation_m / reference.grid.pixel_m
+            px, inliers = matches.pixels.px_b, registration.inliers
+            agreement = count_cells(image.mask, map_image.mask, b_from_a, px, inliers, cell_px)
         scores = [hypothesis.score, *(other.score for j, other in enumerate(hypotheses) if j != k)]
-        found = decide(registration, scores, len(matches_2d), options, decoys=decoys, heights=heights)
+        found = decide(registration, scores, len(matches_2d), options, agreement=agreement, decoys=decoys)
         results.append((found, matches))
     return max(results, key=lambda result: (result[0].registered, result[0].diagnostics.get("cells", 0.0)))
+
+
+def register_on_map(
+    matches: Matches3D,
+    above_ground_m: Array,
+    render: Render,
+    reference: Reference,
+    prior: Prior,
+    options: RegisterOptions,
+    min_confidence: float,
+    *,
+    rng: np.random.Generator,
+) -> Registration:
+    """The registration that most matches agree on in plan, with its heights judged; not yet accepted or refused.
+
+    `above_ground_m` (n,) are heights of the matches above the model's ground; the other arguments are those of
+    `register_best`.
+    """
+    plan, east_north = matches.xyz_level[:, :2], matches.xyz_enu[:, :2]
+    limit = inlier_limit_m(reference.grid.pixel_m, options)
+    try:
+        fit = fit_plan(plan, east_north, above_ground_m, inlier_m=limit, rng=rng)
+        _, up = warp_to_reference(render, flat_transform(fit), reference, min_confidence)
+        heights, verdict = _heights(up, reference, prior.calibration)
+        tilt_deg = min(options.tilt_sigma_deg, max(prior.tilt_sigma_deg, MIN_TILT_SIGMA_DEG))
+        return place_on_map(matches, fit, heights, verdict, above_ground_m, tilt_sigma_deg=tilt_deg, rng=rng)
+    except (TooFewMatches, DegenerateGeometry) as error:
+        reason = f"no transform: {error}"
+        return Registration(registered=False, reason=reason, enu_from_level=None, n_matches=len(matches))
+
+
+def _heights(
+    up: Array32, reference: Reference, calibration: Calibration | None
+) -> tuple[HeightFit | None, HeightVerdict]:
+    """The model's heights (h, w) against the reference's, on its grid; on open ground alone if it shows no more."""
+    grid, surface = reference.grid, reference.height
+    fit = compare_heights(up, surface, grid, reference.dsm_pixel_m)
+    fine = fit is not None and fit.resolution_m <= FINE_M
+    bare = fine and is_bare_earth(up, surface, grid.pixel_m)
+    if bare:
+        fit = compare_heights(up, surface, grid, reference.dsm_pixel_m, use=~raised(up, grid.pixel_m))
+    return fit, judge_heights(fit, calibration, bare=bare)
+
+
+def _above_ground(matches: Matches3D, render: Render, metres_per_level: float) -> Array:
+    """Heights (n,) in metres of the matches above the model's ground, NaN where unknown."""
+    up = render.xyz[..., 2] * np.float32(metres_per_level)
+    ground = ground_level(up, render.view.pixel * metres_per_level)
+    return np.asarray(sample(up - ground, matches.pixels.px_a))

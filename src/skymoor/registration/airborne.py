@@ -27,25 +27,24 @@ class RegisterOptions:
         inlier_m: largest residual of an inlier; never below two pixels of the reference.
         correlation_m: matches closer than this are not independent: they count once (see `min_cells`).
         tilt_sigma_deg: uncertainty of the levelling beforehand; a weak observation that stabilises small models.
-        min_inliers, min_inlier_ratio: fewer are a refusal (the ratio is the paper's).
+        min_inliers: fewer are a refusal.
         min_cells: independent cells of `correlation_m` that must hold inliers.
         max_tilt_deg: a registration that tilts the level model by more is a refusal.
         min_score, min_score_margin: of the match score, and over that of a competing hypothesis; see `decide`.
-        max_false_alarm: largest probability that a decoy scores as much.
-        min_height_correlation: correlation of heights of the model and of the reference, where both have relief.
+        max_false_alarm: largest probability that a decoy scores and agrees as much.
+        max_chance_agreement: the same of the agreement in plan alone.
     """
 
     inlier_m: float = 1.0
     correlation_m: float = 10.0
     tilt_sigma_deg: float = 3.0
     min_inliers: int = 50
-    min_inlier_ratio: float = 0.2
     min_cells: int = 10
     max_tilt_deg: float = 10.0
     min_score: float = 36.0
     min_score_margin: float = 1.3
     max_false_alarm: float = 0.005
-    min_height_correlation: float = 0.2
+    max_chance_agreement: float = 0.05
 
 
 def register(
@@ -63,7 +62,7 @@ def register(
     """
     options = options or RegisterOptions()
     n = len(matches)
-    inlier_m = max(options.inlier_m, 2 * reference_pixel_m)
+    inlier_m = inlier_limit_m(reference_pixel_m, options)
     try:
         consensus = ransac_similarity(matches.xyz_level, matches.xyz_enu, inlier_m=inlier_m, rng=rng)
         inliers = consensus.inliers
@@ -80,6 +79,11 @@ def register(
         return Registration(registered=False, reason=f"no transform: {error}", enu_from_level=None, n_matches=n)
     cells = independent_cells(matches.xyz_enu[found.inliers, :2], options.correlation_m)
     return replace(found, diagnostics={**found.diagnostics, "cells": float(cells)})
+
+
+def inlier_limit_m(reference_pixel_m: float, options: RegisterOptions) -> float:
+    """Largest residual of an inlier: never below two pixels of the reference."""
+    return max(options.inlier_m, 2 * reference_pixel_m)
 
 
 def with_covariance_of(

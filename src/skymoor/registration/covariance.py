@@ -94,6 +94,50 @@ def matched_covariance(
     return covariance, centre, float(kinds[0].posterior.sum(axis=1) @ lengths)
 
 
+def plan_covariance(
+    offsets: Array, residuals: Array, weights: Array, raised_m: Array | None, *, rng: np.random.Generator
+) -> tuple[Array, float]:
+    """Covariance (4, 4) of log scale, azimuth (rad), east and north (m) of a similarity in plan.
+
+    The errors of neighbouring matches are correlated as in `matched_covariance`, by the same likelihood.
+
+    Args:
+        offsets: (n, 2) metres, positions of the model's points from the point that the covariance refers to.
+        residuals: (n, 2) metres.
+        weights: (n,) of the adjustment.
+        raised_m: (n,) heights above ground, where a lean was adjusted with them; else None.
+        rng: draws the matches that are used, where there are many.
+
+    Returns:
+        the covariance, and the mean correlation length in metres.
+
+    Raises `TooFewMatches` for fewer than eight.
+    """
+    used = np.flatnonzero(weights > 0)
+    if len(used) < MIN_MATCHES:
+        raise TooFewMatches(f"{len(used)} matches are too few for a covariance; at least {MIN_MATCHES} are required")
+    chosen = np.sort(rng.permutation(used)[:MATCHES])
+    xy, w = offsets[chosen], weights[chosen]
+    gap = cdist(xy, xy)
+    lengths = [max(float(gap.max()) * ratio, 1.0) for ratio in CORRELATION_LENGTHS]
+    few = np.sort(rng.permutation(len(chosen))[:LIKELIHOOD_MATCHES])
+    correlations = [_matern32(gap[np.ix_(few, few)], length) for length in lengths]
+    kinds = _likelihoods([residuals[chosen][few]], xy[few], correlations)
+    (errors,) = _mean_covariances(gap, lengths, kinds, independent=len(chosen) / len(used))
+    one, none = np.ones(len(xy)), np.zeros(len(xy))
+    height = none if raised_m is None else raised_m[chosen]
+    east = np.column_stack([xy[:, 0], -xy[:, 1], one, none, height, none])
+    north = np.column_stack([xy[:, 1], xy[:, 0], none, one, none, height])
+    keep = 4 if raised_m is None else 6
+    designs = [design[:, :keep] for design in (east, north)]
+    normal = sum((design.T * w) @ design for design in designs)
+    spread = sum((design.T * w) @ errors @ (design.T * w).T for design in designs)
+    # Metres and radians differ by the size of the model, as do heights: in one unit, the inverse is stable.
+    size = np.sqrt(np.diag(normal))
+    inverse = np.linalg.pinv(normal / np.outer(size, size)) / np.outer(size, size)
+    return (inverse @ spread @ inverse)[:4, :4], float(kinds[0].posterior.sum(axis=1) @ lengths)
+
+
 @dataclass(frozen=True, eq=False)
 class _Kind:
     """Errors along some axes: posterior of correlation lengths and fractions, and variances for them, both (r, s)."""

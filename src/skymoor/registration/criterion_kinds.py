@@ -81,14 +81,28 @@ KINDS: dict[str, Kind] = {
         name="false-alarm probability",
         scopes=("airborne",),
         at="most",
-        refusal="match score {search_score:.0f} is not significant: decoys reach {decoy_score:.0f} in this reference "
-        "(false-alarm probability {value})",
-        meaning="The score must be significantly above that of decoys: mirrored and shuffled renders, "
-        "which match nowhere, searched in the same reference.",
+        refusal="match score {search_score:.0f} and {cells:.0f} agreeing cells of {covered_cells:.0f} are not "
+        "significant: decoys reach {decoy_score:.0f} and {decoy_cells:.0f} in this reference (false-alarm probability "
+        "{value})",
+        meaning="Match score and agreement must be significantly above those of decoys: mirrored and shuffled renders, "
+        "which match nowhere, searched and matched in the same reference.",
         limit="at most register.max_false_alarm",
         remedy=f"Check that the reference covers the site and looks like the photos, {NARROW_HEIGHTS}, "
         "or photograph a larger area: more content makes the score more significant.",
         spec=".3g",
+        unit="%",
+    ),
+    "agreement": Kind(
+        name="chance of the agreement in plan",
+        scopes=("airborne",),
+        at="most",
+        refusal="matches agree in {cells:.0f} of {covered_cells:.0f} independent cells, as those of a decoy do with "
+        "probability {value}; at most {limit} is allowed",
+        meaning="The share of independent cells of the model in which matches agree with the transform in plan must be "
+        "larger than decoys usually reach; heights play no part.",
+        limit="at most register.max_chance_agreement",
+        remedy=MORE_IN_COMMON,
+        spec=".2g",
         unit="%",
     ),
     "competing_score": Kind(
@@ -124,29 +138,15 @@ KINDS: dict[str, Kind] = {
     ),
     "inlier_ratio": Kind(
         name="inlier ratio",
-        scopes=("airborne", "walls", "tiles"),
+        scopes=("walls", "tiles"),
         at="least",
         refusal="inlier ratio {value} is below the minimum of {limit}",
         meaning="Enough of the matches must agree with the transform; "
         "a low ratio means a wrong position, or a site that has changed.",
-        limit="at least register.min_inlier_ratio, for ground photos ground.walls.acceptance.min_inlier_ratio",
-        remedy="Use a newer reference; for ground photos, take more of them at the time of the year and of the day of "
-        "the airborne ones.",
+        limit="at least ground.walls.acceptance.min_inlier_ratio",
+        remedy="Take more photos at the time of the year and of the day of the airborne ones.",
         spec=".1f",
         unit="%",
-    ),
-    "height_correlation": Kind(
-        name="height correlation",
-        scopes=("airborne",),
-        at="least",
-        refusal="the model's heights do not correlate with the reference's (correlation {value}; "
-        "at least {limit} is required)",
-        meaning="Where both have relief, heights of the model must correlate with those of the DSM; "
-        "if they do not, the position looks right in colour only.",
-        limit="at least register.min_height_correlation",
-        remedy="Check that the DSM belongs to the orthophoto, includes the buildings, and that its vertical datum is "
-        "right; where the site has changed since, use a newer one.",
-        spec=".2f",
     ),
     "cells": Kind(
         name="independent cells with inliers",

@@ -37,21 +37,24 @@ def lift(
 ) -> Matches3D:
     """Points of both sides for matches from the render (a) to the reference (b).
 
-    Matches are dropped where either side has no height, where the render is not confident, and near height steps of
-    either side. `metres_per_level` is the approximate scale of the model; it converts `edge_m` to level units.
+    Matches are dropped where the render has no height or is not confident, near its height steps, and outside of the
+    reference. The reference's height is NaN where it has none, and near its height steps: a match is good in plan
+    without it. `metres_per_level` is the approximate scale of the model; it converts `edge_m` to level units.
     """
     options = options or LiftOptions()
     xyz_level = np.column_stack([sample(render.xyz[..., axis], matches.px_a) for axis in range(3)])
     east_north = reference.grid.enu_from_px(matches.px_b)
     up = sample(reference.height, matches.px_b)
-    xyz_enu = np.column_stack([east_north, up])
     edge_level = options.edge_m / metres_per_level
-    good = np.isfinite(xyz_level).all(axis=1) & np.isfinite(up)
+    rows, columns = reference.grid.shape
+    good = np.isfinite(xyz_level).all(axis=1)
+    good &= ((matches.px_b >= 0) & (matches.px_b <= [columns, rows])).all(axis=1)
     good &= sample(render.confidence, matches.px_a) >= options.min_confidence
     step_a = height_step(render.xyz[..., 2], edge_level / render.view.pixel)
     step_b = height_step(reference.height, options.edge_m / reference.grid.pixel_m)
     good &= _at(step_a, matches.px_a) <= options.max_step_slope * edge_level
-    good &= _at(step_b, matches.px_b) <= options.max_step_slope * options.edge_m
+    up[_at(step_b, matches.px_b) > options.max_step_slope * options.edge_m] = np.nan
+    xyz_enu = np.column_stack([east_north, up])
     return Matches3D(xyz_level[good], xyz_enu[good], matches.take(good))
 
 

@@ -6,9 +6,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from skymoor.registration.agreement import Agreement
 from skymoor.registration.airborne import RegisterOptions
 from skymoor.registration.criteria import ESTIMATE, criterion, with_criteria
-from skymoor.registration.significance import false_alarm_probability
+from skymoor.registration.significance import (
+    NullSample,
+    agreement_probability,
+    combined_probability,
+    false_alarm_probability,
+)
 from skymoor.types import Criterion, Registration
 
 
@@ -18,10 +24,12 @@ def decide(
     n_matches_2d: int,
     options: RegisterOptions | None = None,
     *,
-    decoys: Sequence[float] = (),
-    heights: float | None = None,
+    agreement: Agreement | None = None,
+    decoys: Sequence[NullSample] = (),
 ) -> Registration:
     """The registration with all criteria that were checked, accepted or refused with the first that failed.
+
+    Only the place on the map is decided here; heights have their own verdict.
 
     Args:
         registration: as estimated from the matches.
@@ -30,43 +38,42 @@ def decide(
             right one in a square kilometre.
         n_matches_2d: matches before lifting.
         options: thresholds.
-        decoys: null scores, see `decoy_scores`; without them `min_score` is the only limit on the score alone.
-        heights: correlation of heights at the hypothesis, see `height_agreement`; None where it cannot be estimated.
+        agreement: independent cells in which the matches agree with the transform; None where there is none.
+        decoys: what decoys reached; without them `min_score` is the only limit on the score alone.
     """
     options = options or RegisterOptions()
     best, second = scores[0], max(scores[1:], default=0.0)
+    agreement = agreement or Agreement(0, 0)
     diagnostics = {
         **registration.diagnostics,
         "search_score": best,
         "second_score": second,
         "n_matches_2d": float(n_matches_2d),
+        "cells": float(agreement.agreeing),
+        "covered_cells": float(agreement.covered),
     }
     criteria = [criterion("match_score", best, options.min_score)]
     if decoys:
-        probability = false_alarm_probability(best, decoys)
-        diagnostics |= {"decoy_score": float(max(decoys)), "false_alarm_probability": probability}
+        of_cells = agreement_probability(agreement, [decoy.agreement for decoy in decoys])
+        probability = combined_probability([false_alarm_probability(best, [decoy.score for decoy in decoys]), of_cells])
+        reached = max(decoys, key=lambda decoy: decoy.score)
+        diagnostics |= {"decoy_score": reached.score, "false_alarm_probability": probability}
+        diagnostics |= {"decoy_cells": float(max(decoy.agreement.agreeing for decoy in decoys))}
         criteria.append(criterion("false_alarm", probability, options.max_false_alarm))
-    if heights is not None:
-        diagnostics["height_agreement"] = heights
+        criteria.append(criterion("agreement", of_cells, options.max_chance_agreement))
     criteria += [
         criterion("competing_score", best, options.min_score_margin * second),
         criterion(ESTIMATE, registration.registered, 1),
     ]
     if registration.registered:
-        criteria += _of_matches(registration, options, heights)
+        criteria += _of_matches(registration, options, agreement)
     return with_criteria(replace(registration, diagnostics=diagnostics), criteria)
 
 
-def _of_matches(registration: Registration, options: RegisterOptions, heights: float | None) -> list[Criterion]:
+def _of_matches(registration: Registration, options: RegisterOptions, agreement: Agreement) -> list[Criterion]:
     """Criteria of an estimated transform."""
-    criteria = [
-        criterion("inliers", registration.n_inliers, options.min_inliers),
-        criterion("inlier_ratio", registration.inlier_ratio, options.min_inlier_ratio),
-    ]
-    if heights is not None:
-        criteria.append(criterion("height_correlation", heights, options.min_height_correlation))
     return [
-        *criteria,
-        criterion("cells", registration.diagnostics.get("cells", 0.0), options.min_cells),
+        criterion("inliers", registration.n_inliers, options.min_inliers),
+        criterion("cells", agreement.agreeing, options.min_cells),
         criterion("tilt", registration.tilt_deg, options.max_tilt_deg),
     ]

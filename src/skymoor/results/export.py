@@ -20,6 +20,9 @@ from skymoor.types import Progress, no_progress
 __all__ = ["FORMATS", "chosen_formats", "export"]
 
 NOTE = "export.json"
+WITH_HEIGHTS = ("colmap", "nerfstudio", "laz", "cog", "ply", "gltf", "odm")
+"""Formats that cannot do without."""
+RELATIVE = "NOT_CONFIRMED: relative to the model's ground, or to a reference that contradicts the photos"
 
 
 def export(
@@ -63,6 +66,9 @@ def chosen_formats(names: Sequence[str]) -> list[str]:
 
 def _fill(source: Source, name: str, folder: Path) -> None:
     heights = FORMATS[name](source, folder)
+    if source.without_heights:
+        heights = RELATIVE if name in WITH_HEIGHTS else "none where they are NOT_CONFIRMED"
+        source.notes.append(f"heights: {heights}")
     files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     about = {"skymoor": __version__, "format": name, "heights": heights, "files": files}
     (folder / NOTE).write_text(json.dumps(about, indent=1), encoding="utf-8")

@@ -19,7 +19,7 @@ from skymoor.geo import EnuFrame
 from skymoor.geometry import Similarity
 from skymoor.results.report.table import summary_html
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow, read_camera_rows, read_cameras_csv, read_truth_csv
-from skymoor.types import Array
+from skymoor.types import Array, HeightStatus
 
 if TYPE_CHECKING:
     import geopandas
@@ -36,13 +36,16 @@ class ComponentSummary:
     Attributes:
         image_set, index: which one; its products are called `name`.
         registered, reason: whether it was accepted, and why not.
-        ce90_m, le90_m: predicted, means over the cameras; None where it is not registered.
+        heights: CONFIRMED, OFFSET_ONLY or NOT_CONFIRMED; None where it is not registered.
+        ce90_m, le90_m: predicted, means over the cameras; None where it is not registered. Without confirmed heights
+            there may be no LE90.
     """
 
     image_set: str
     index: int
     registered: bool
     reason: str
+    heights: HeightStatus | None
     ce90_m: float | None
     le90_m: float | None
     summary: dict[str, Any]
@@ -55,9 +58,10 @@ class ComponentSummary:
     def __repr__(self) -> str:
         if not self.registered:
             return f"{self.name}: NOT_REGISTERED, {self.reason}"
-        known = self.ce90_m is not None and self.le90_m is not None
-        accuracy = f", CE90 {self.ce90_m:.2f} m, LE90 {self.le90_m:.2f} m" if known else ""
-        return f"{self.name}: REGISTERED, {self.summary.get('n_cameras', '?')} cameras{accuracy}"
+        accuracy = "" if self.ce90_m is None else f", CE90 {self.ce90_m:.2f} m"
+        accuracy += "" if self.le90_m is None else f", LE90 {self.le90_m:.2f} m"
+        heights = f", heights {self.heights}" if self.heights else ""
+        return f"{self.name}: REGISTERED, {self.summary.get('n_cameras', '?')} cameras{accuracy}{heights}"
 
     @cached_property
     def enu_from_sfm(self) -> Similarity | None:
@@ -106,6 +110,11 @@ class Result:
     def registered(self) -> bool:
         """Whether every set is."""
         return all(one["status"] == "REGISTERED" for one in self.summary["sets"])
+
+    @property
+    def heights_confirmed(self) -> bool:
+        """Whether the heights of every registered component are."""
+        return all(one.heights == "CONFIRMED" for one in self.components if one.registered)
 
     @cached_property
     def cameras(self) -> tuple[CameraRow, ...]:
@@ -191,6 +200,7 @@ def _component(set_name: str, summary: dict[str, Any]) -> ComponentSummary:
         index=int(summary["component"]),
         registered=summary["status"] == "REGISTERED",
         reason=str(summary["reason"]),
+        heights=summary.get("heights"),
         ce90_m=summary.get("predicted_ce90_m"),
         le90_m=summary.get("predicted_le90_m"),
         summary=summary,

@@ -18,8 +18,8 @@ TRUTH_COLUMNS = ("image", "lat", "lon", "height")
 ACCURACY = ("ce90", "le90")
 RELATIVE = ("relative_ce90", "relative_le90")  # runs of former versions have none
 ESTIMATED = ("lat", "lon", "height", *ACCURACY, *RELATIVE)
-TEXTS = ("image", "set", "component", "status")
-REQUIRED_COLUMNS = (*TEXTS, "lat", "lon", "height", *ACCURACY)
+TEXTS = ("image", "set", "component", "status", "heights")
+REQUIRED_COLUMNS = ("image", "set", "component", "status", "lat", "lon", "height", *ACCURACY)
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class CameraRow:
     """One line of cameras.csv, columns in this order; everything from `lat` on is None where it is not registered.
 
     Latitude and longitude in WGS 84 degrees, height above its ellipsoid, and east, north, up of the site in metres;
+    `heights` is the verdict on them: where it is NOT_CONFIRMED, height and LE90 are None, and `up` is relative;
     the quaternion is camera-from-ENU; `ce90` and `le90` are predicted metres, and `relative_ce90` and `relative_le90`
     the same without the error of the reference, which all cameras share.
     """
@@ -49,6 +50,7 @@ class CameraRow:
     le90: float | None = None
     relative_ce90: float | None = None
     relative_le90: float | None = None
+    heights: str | None = None
 
 
 CAMERA_COLUMNS = tuple(item.name for item in fields(CameraRow))
@@ -78,7 +80,14 @@ def read_truth_csv(path: Path) -> list[Truth]:
 def read_cameras_csv(path: Path) -> list[Estimate]:
     """Read the cameras.csv of a run. Raises `InputError`, naming file and line, for whatever does not fit."""
     return [
-        Estimate(row["image"], row["set"], row["component"], row["status"] == "REGISTERED", **numbers)
+        Estimate(
+            row["image"],
+            row["set"],
+            row["component"],
+            row["status"] == "REGISTERED",
+            **numbers,
+            heights=row["heights"],
+        )
         for row, numbers in _cameras(path, ESTIMATED)
     ]
 
@@ -102,7 +111,8 @@ def _cameras(path: Path, columns: Sequence[str]) -> Iterator[tuple[dict[str, Any
             column: _number(row[column], column, where) if row.get(column, "").strip() else None for column in columns
         }
         texts = {"image": row["image"], "set": row["set"], "status": row["status"]}
-        yield {**texts, "component": int(component) if component else None}, numbers
+        heights = row.get("heights", "").strip() or None  # runs of former versions have no such column
+        yield {**texts, "component": int(component) if component else None, "heights": heights}, numbers
 
 
 def _rows(path: Path, columns: Sequence[str]) -> list[tuple[int, Mapping[str, str]]]:

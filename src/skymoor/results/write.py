@@ -39,7 +39,7 @@ from skymoor.results.report.renderings import (
 )
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow
 from skymoor.store import Store
-from skymoor.types import Array, Reference
+from skymoor.types import Array, HeightStatus, Reference
 
 REGISTERED, NOT_REGISTERED = "REGISTERED", "NOT_REGISTERED"
 GROUND_STEP_PX = 3  # ground photos see the same wall often: a ninth of their pixels is enough for the cloud
@@ -129,13 +129,17 @@ def camera_rows(found: SetResult, reference: Reference) -> list[CameraRow]:
         mine: list[CameraRow] = []
         if item.registration.registered:
             figures = figures_of(accuracy_of(item, reference))
-            mine = placed_cameras(found.name, k, item.cameras_enu, reference.frame, figures)
+            mine = placed_cameras(found.name, k, item.cameras_enu, reference.frame, figures, _height_status(item))
         registered = {row.image for row in mine}
         others = [camera.image for camera in item.component.cameras if camera.image not in registered]
         mine += unplaced_cameras(found.name, k, others)
         rows += [row for row in mine if row.image not in seen]
         seen.update(row.image for row in mine)
     return rows + unplaced_cameras(found.name, None, [image for image in found.images if image not in seen])
+
+
+def _height_status(item: ComponentResult) -> HeightStatus | None:
+    return None if item.heights is None or not item.registration.registered else item.heights.status
 
 
 def _set_summary(found: SetResult, reference: Reference) -> dict[str, Any]:
@@ -172,16 +176,22 @@ def _component_summary(index: int, item: ComponentResult, reference: Reference) 
         "calibration_note": calibration_note(item),
         "gravity": item.gravity,
         "metric_scale": item.metric,
-        "relief": item.relief,
+        "heights": _height_status(item),
+        "height_verdict": item.heights,
+        "height_scale": None if item.heights is None else item.heights.scale,
+        "height_scale_sigma": None if item.heights is None else item.heights.scale_sigma,
+        "lean_m_per_m": found.lean,
         "hypotheses": _hypotheses(item, reference),
         "contradicting_cameras": [check.image for check in item.pose_checks if check.contradicts],
     }
     if found.registered and found.enu_from_level is not None:
         ce90, le90, relative_ce90, relative_le90 = figures_of(accuracy_of(item, reference)).mean(axis=0).tolist()
         enu_from_sfm = found.enu_from_level @ item.level_from_sfm
-        summary |= georeference(reference.frame, enu_from_sfm)
-        summary |= {"predicted_ce90_m": ce90, "predicted_le90_m": le90}
-        summary |= {"predicted_relative_ce90_m": relative_ce90, "predicted_relative_le90_m": relative_le90}
+        known = _height_status(item) != "NOT_CONFIRMED"
+        summary |= georeference(reference.frame, enu_from_sfm, _height_status(item))
+        summary |= {"predicted_ce90_m": ce90, "predicted_le90_m": le90 if known else None}
+        summary |= {"predicted_relative_ce90_m": relative_ce90}
+        summary |= {"predicted_relative_le90_m": relative_le90 if known else None}
         summary["scene_centre_enu"] = np.median(found.enu_from_level.apply(item.component.points), axis=0)
     return summary
 
@@ -216,7 +226,9 @@ def _write_component(
     if enu is not None and found.enu_from_level is not None:
         store.write_folder(f"colmap/{name}", lambda folder: write_colmap(enu, folder))
         transform = found.enu_from_level @ item.level_from_sfm
-        store.write_json(f"colmap/{name}/georeference.json", georeference(reference.frame, transform))
+        store.write_json(
+            f"colmap/{name}/georeference.json", georeference(reference.frame, transform, _height_status(item))
+        )
     else:
         store.remove(f"colmap/{name}")
 
@@ -253,7 +265,7 @@ def _write_pictures(
     if found.enu_from_level is None or found.residuals_m is None:
         return
     pixel_m = reference.grid.pixel_m
-    warped, _ = warp_to_reference(render, found, reference, options.min_height_confidence)
+    warped, _ = warp_to_reference(render, found.enu_from_level, reference, options.min_height_confidence)
     store.write_png(f"matches/{name}_overlay.png", overlay_figure(warped, reference.rgb, pixel_m=pixel_m))
     arrows = residual_figure(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
     store.write_png(f"matches/{name}_residuals.png", arrows)
@@ -277,7 +289,8 @@ def _write_rasters(
         confident = item.render.confidence >= options.min_height_confidence
         clouds.append(item.registration.enu_from_level.apply(item.render.xyz[confident].astype(np.float64)))
         colours.append(item.render.rgb[confident])
-        warped, up = warp_to_reference(item.render, item.registration, reference, options.min_height_confidence)
+        transform = item.registration.enu_from_level
+        warped, up = warp_to_reference(item.render, transform, reference, options.min_height_confidence)
         fill = np.isnan(height) & np.isfinite(up)
         rgb[fill], height[fill] = warped.rgb[fill], up[fill]
     names = ("pointcloud.laz", "ortho.tif", "dsm.tif")

@@ -47,6 +47,7 @@ def rows(cameras: list[Camera]) -> list[CameraRow]:
 
 def test_columns_are_those_of_the_contract() -> None:
     names = "image,set,component,status,lat,lon,height,east,north,up,qw,qx,qy,qz,ce90,le90,relative_ce90,relative_le90"
+    names += ",heights"
     assert ",".join(CAMERA_COLUMNS) == names
 
 
@@ -65,10 +66,26 @@ def test_csv_says_where_the_cameras_are(cameras: list[Camera], rows: list[Camera
         assert FRAME.enu_from_lla(*lla)[0] == pytest.approx(camera.centre, abs=1e-6)
     assert [line["ce90"] for line in read] == ["1.0", "2.0", "3.0", ""]
     assert [line["le90"] for line in read] == ["4.0", "4.0", "4.0", ""]
-    assert list(read[3].values()) == ["w.jpg", "walk", "", "NOT_REGISTERED", *[""] * 14]
+    assert list(read[3].values()) == ["w.jpg", "walk", "", "NOT_REGISTERED", *[""] * 15]
     estimates = read_cameras_csv(path)
     assert [estimate.component for estimate in estimates] == [0, 0, 0, None]
     assert estimates[1].lat == rows[1].lat
+
+
+def test_heights_that_are_not_confirmed_are_not_written(cameras: list[Camera], tmp_path: Path) -> None:
+    rows = placed_cameras("airborne", 0, cameras, FRAME, (2.0, 4.0, 0.1, 0.4), "NOT_CONFIRMED")
+    for row in rows:
+        assert (row.height, row.le90, row.relative_le90, row.heights) == (None, None, None, "NOT_CONFIRMED")
+        assert None not in (row.lat, row.lon, row.up, row.ce90)
+    for feature in cameras_geojson(rows)["features"]:  # type: ignore[attr-defined]
+        assert len(feature["geometry"]["coordinates"]) == 2
+    with Store.open(tmp_path) as store:
+        path = store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
+    assert [(one.height, one.le90, one.heights) for one in read_cameras_csv(path)] == [
+        (None, None, "NOT_CONFIRMED")
+    ] * 3
+    confirmed = placed_cameras("airborne", 0, cameras, FRAME, (2.0, 4.0, 0.1, 0.4), "CONFIRMED")
+    assert confirmed[0].height is not None and confirmed[0].le90 == 4.0
 
 
 def test_geojson_has_longitude_first(cameras: list[Camera], rows: list[CameraRow]) -> None:

@@ -43,7 +43,7 @@ def _colmap(source: Source, folder: Path) -> str:
             (folder / kind / part.name).mkdir(parents=True)
         write_colmap(component, folder / "bin" / part.name)
         colmap_from_component(component).write_text(str(folder / "text" / part.name))
-        content = json.dumps(georeference(source.result.frame, part.enu_from_sfm), indent=1)
+        content = json.dumps(georeference(source.result.frame, part.enu_from_sfm, part.heights), indent=1)
         for kind in ("bin", "text"):
             (folder / kind / part.name / "georeference.json").write_text(content, encoding="utf-8")
     return f"metres up of the origin in georeference.json, which is in {ELLIPSOID}"
@@ -89,6 +89,9 @@ def _gpkg(source: Source, folder: Path) -> str:
 
 def _kml(source: Source, folder: Path) -> str:
     position = np.array([[row.lat, row.lon, row.height] for row in source.rows], dtype=np.float64)
+    if not np.isfinite(position).all():
+        (folder / "cameras.kml").write_bytes(cameras_kml(source.rows, None))
+        return "none, clamped to the ground"
     try:
         heights: Array | None = datum_from_ellipsoid(position[:, 0], position[:, 1], position[:, 2], EGM96)
     except InputError:

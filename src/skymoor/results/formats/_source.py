@@ -31,6 +31,11 @@ class Source:
         """Cameras with a position."""
         return self.result.registered_cameras
 
+    @property
+    def without_heights(self) -> bool:
+        """Whether heights of some registered component are not confirmed."""
+        return any(part.heights == "NOT_CONFIRMED" for part in self.result.components if part.registered)
+
     def components(self) -> Iterator[tuple[ComponentSummary, Component]]:
         """Registered components in ENU metres, with the cameras that cameras.csv lists for them."""
         for part in self.result.components:

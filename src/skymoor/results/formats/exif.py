@@ -38,8 +38,11 @@ def photo_with_position(jpeg: bytes, row: CameraRow, name: str) -> bytes:
 
 
 def gps_tags(row: CameraRow) -> dict[int, object]:
-    """EXIF's GPS tags of a registered camera; altitude reference 0 (or 1, below) is the ellipsoid since EXIF 3.0."""
-    assert row.lat is not None and row.lon is not None and row.height is not None
+    """EXIF's GPS tags of a registered camera, without altitude where its height is not confirmed.
+
+    Altitude reference 0 (or 1, below) is the ellipsoid since EXIF 3.0.
+    """
+    assert row.lat is not None and row.lon is not None
     tags = ExifTags.GPS
     found: dict[int, object] = {
         tags.GPSVersionID: b"\2\4\0\0",
@@ -47,10 +50,11 @@ def gps_tags(row: CameraRow) -> dict[int, object]:
         tags.GPSLatitude: _sexagesimal(row.lat),
         tags.GPSLongitudeRef: "E" if row.lon >= 0 else "W",
         tags.GPSLongitude: _sexagesimal(row.lon),
-        tags.GPSAltitudeRef: b"\0" if row.height >= 0 else b"\1",
-        tags.GPSAltitude: IFDRational(round(abs(row.height) * 10000), 10000),
         tags.GPSMapDatum: "WGS-84",
     }
+    if row.height is not None:
+        found[tags.GPSAltitudeRef] = b"\0" if row.height >= 0 else b"\1"
+        found[tags.GPSAltitude] = IFDRational(round(abs(row.height) * 10000), 10000)
     if row.ce90 is not None:
         found[tags.GPSHPositioningError] = IFDRational(round(row.ce90 * 1000), 1000)
     return {int(tag): value for tag, value in found.items()}
@@ -58,14 +62,15 @@ def gps_tags(row: CameraRow) -> dict[int, object]:
 
 def position_xmp(row: CameraRow) -> str:
     """An XMP packet with the same position and, as photogrammetry reads it, CE90 and LE90 in metres."""
-    assert row.lat is not None and row.lon is not None and row.height is not None
+    assert row.lat is not None and row.lon is not None
     values = {
         "exif:GPSLatitude": _minutes(row.lat, "NS"),
         "exif:GPSLongitude": _minutes(row.lon, "EW"),
-        "exif:GPSAltitude": f"{round(abs(row.height) * 10000)}/10000",
-        "exif:GPSAltitudeRef": "0" if row.height >= 0 else "1",
         "exif:GPSMapDatum": "WGS-84",
     }
+    if row.height is not None:
+        values["exif:GPSAltitude"] = f"{round(abs(row.height) * 10000)}/10000"
+        values["exif:GPSAltitudeRef"] = "0" if row.height >= 0 else "1"
     for name, value in (("Camera:GPSXYAccuracy", row.ce90), ("Camera:GPSZAccuracy", row.le90)):
         if value is not None:
             values[name] = f"{value:.3f}"

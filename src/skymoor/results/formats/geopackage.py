@@ -66,7 +66,7 @@ def cameras_geopackage(rows: Sequence[CameraRow]) -> bytes:
 def _add_cameras(base: sqlite3.Connection, rows: Sequence[CameraRow]) -> None:
     records = [asdict(row) for row in rows]
     names = [name for name in asdict(CameraRow("", "", None, "")) if name not in ("lat", "lon", "height")]
-    kinds = {"image": "TEXT", "set": "TEXT", "status": "TEXT", "component": "INTEGER"}
+    kinds = {"image": "TEXT", "set": "TEXT", "status": "TEXT", "heights": "TEXT", "component": "INTEGER"}
     columns = ", ".join(f'"{name}" {kinds.get(name, "DOUBLE")}' for name in names)
     base.execute(f"CREATE TABLE cameras (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom POINT, {columns})")
     marks = ", ".join("?" * (len(names) + 1))
@@ -84,6 +84,7 @@ def _add_cameras(base: sqlite3.Connection, rows: Sequence[CameraRow]) -> None:
     )
 
 
-def _point(x: float, y: float, z: float) -> bytes:
-    """The header of GeoPackage (little-endian, without envelope), then ISO WKB of a 3D point."""
+def _point(x: float, y: float, height: float | None) -> bytes:
+    """The header of GeoPackage (little-endian, without envelope), then ISO WKB of a 3D point; z may be NaN."""
+    z = float("nan") if height is None else height
     return struct.pack("<2sBBi", b"GP", 0, 1, SRS) + struct.pack("<BIddd", 1, 1001, x, y, z)

@@ -13,7 +13,7 @@ from skymoor.results.tables import CameraRow
 KML = "http://www.opengis.net/kml/2.2"
 ABSOLUTE = "Altitudes are metres above the EGM96 geoid, as KML requires."
 CLAMPED = (
-    "No EGM96 geoid grid was installed, so no altitude is given and points are clamped to the ground; "
+    "No EGM96 geoid grid was installed, or heights are not confirmed, so points are clamped to the ground; "
     "ellipsoidal_height is metres above the WGS 84 ellipsoid."
 )
 

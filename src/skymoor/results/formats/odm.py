@@ -18,10 +18,13 @@ MARKS_PER_POINT = 6
 
 
 def odm_geo(rows: Sequence[CameraRow]) -> str:
-    """geo.txt: image, longitude, latitude, ellipsoidal height, three angles (0: not used), CE90 and LE90 in metres."""
+    """geo.txt: image, longitude, latitude, ellipsoidal height, three angles (0: not used), CE90 and LE90 in metres.
+
+    Nothing follows the latitude where heights are not confirmed.
+    """
     lines = [
-        f"{_name(row.image)} {row.lon:.10f} {row.lat:.10f} {row.height:.4f} 0 0 0 "
-        f"{row.ce90 or 0:.4f} {row.le90 or 0:.4f}"
+        f"{_name(row.image)} {row.lon:.10f} {row.lat:.10f}"
+        + ("" if row.height is None else f" {row.height:.4f} 0 0 0 {row.ce90 or 0:.4f} {row.le90 or 0:.4f}")
         for row in rows
     ]
     return "\n".join([HEADER, *lines]) + "\n"

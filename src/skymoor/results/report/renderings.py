@@ -70,7 +70,7 @@ def overlay_figure(warped: Raster, reference: Image, *, tile_m: float = 15.0, pi
 def residual_figure(reference: Image, px: Array, residuals_m: Array, inliers: Mask, *, pixel_m: float) -> Image:
     """Residuals on the reference: an arrow per position (50 times enlarged), its colour is the vertical residual.
 
-    Blue is too low, white right, red too high by a metre. Residuals are means over neighbours.
+    Blue is too low, white right, red too high by a metre; grey is unknown. Residuals are medians over neighbours.
     """
     part, origin = _around(reference, px) if len(px) else (reference, np.zeros(2))
     canvas, scale = _fitted((part * 0.45).astype(np.uint8), 1000)
@@ -78,7 +78,9 @@ def residual_figure(reference: Image, px: Array, residuals_m: Array, inliers: Ma
     keys = np.floor(px[inliers] / cell).astype(int)
     for key in np.unique(keys, axis=0):
         mine = (keys == key).all(axis=1)
-        east, north, up = np.median(residuals_m[inliers][mine], axis=0)
+        east, north = np.median(residuals_m[inliers][mine, :2], axis=0)
+        ups = residuals_m[inliers][mine, 2]
+        up = float(np.median(ups[np.isfinite(ups)])) if np.isfinite(ups).any() else float("nan")
         u, v = (px[inliers][mine].mean(axis=0) - origin) * scale
         tip = (round(u + 50 * east / pixel_m * scale), round(v - 50 * north / pixel_m * scale))
         colour = _diverging(up)
@@ -97,6 +99,8 @@ def difference_figure(metres: Array32, *, reach_m: float = 3.0) -> Image:
 
 
 def _diverging(up: float) -> tuple[int, int, int]:
+    if not np.isfinite(up):
+        return (150, 150, 150)
     share = float(np.clip(up, -1, 1))
     fade = round(255 * (1 - abs(share)))
     return (255, fade, fade) if share > 0 else (fade, fade, 255)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from html import escape
 from typing import Any
 
-HEADINGS = ("set", "component", "status", "cameras", "CE90 m", "LE90 m", "reason")
+HEADINGS = ("set", "component", "status", "cameras", "CE90 m", "LE90 m", "heights", "reason")
 CELL = "text-align:left;padding:0.2em 0.8em"
 
 
@@ -26,9 +26,10 @@ def _rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
         for part in one["components"]:
             accuracy = (_metres(part.get(f"predicted_{name}_m")) for name in ("ce90", "le90"))
             count = str(part.get("n_cameras", "-"))
-            yield str(one["set"]), str(part["component"]), str(part["status"]), count, *accuracy, str(part["reason"])
+            heights, reason = str(part.get("heights") or "-"), str(part["reason"])
+            yield str(one["set"]), str(part["component"]), str(part["status"]), count, *accuracy, heights, reason
         if not one["components"]:
-            yield str(one["set"]), "-", str(one["status"]), "0", "-", "-", str(one.get("reason", ""))
+            yield str(one["set"]), "-", str(one["status"]), "0", "-", "-", "-", str(one.get("reason", ""))
 
 
 def _metres(value: float | None) -> str:

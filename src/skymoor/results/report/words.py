@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from math import atan2, degrees, hypot
 from typing import Any
 
 from skymoor.registration.criteria import criteria_of, kind_of
@@ -35,17 +36,38 @@ def verdict(component: ComponentSummary) -> str:
     """The expected accuracy, or why the component was refused."""
     if not component.registered:
         return f"Refused: {component.reason or 'no reason was given'}."
-    if component.ce90_m is None or component.le90_m is None:
+    if component.ce90_m is None:
         return "Registered; this run did not predict an accuracy."
-    words = f"Expected accuracy (90 %): {component.ce90_m:.1f} m horizontal (CE90), "
-    words += f"{component.le90_m:.1f} m vertical (LE90)."
+    words = f"Expected accuracy (90 %): {component.ce90_m:.1f} m horizontal (CE90)"
+    words += "." if component.le90_m is None else f", {component.le90_m:.1f} m vertical (LE90)."
     relative = component.summary.get("predicted_relative_ce90_m"), component.summary.get("predicted_relative_le90_m")
     if None not in relative:
         words += (
             f" Without the error of the reference, which all its cameras share: {relative[0]:.2f} m and "
             f"{relative[1]:.2f} m."
         )
-    return words
+    return f"{words} {height_words(component)}".rstrip()
+
+
+HEIGHT_WORDS = {
+    "CONFIRMED": "Heights are confirmed by the relief of the reference",
+    "OFFSET_ONLY": "Heights hang on the mean height of the reference alone",
+    "NOT_CONFIRMED": "Heights are not confirmed, and none is written",
+}
+
+
+def height_words(component: ComponentSummary) -> str:
+    """What the reference says of the heights; empty for runs of versions that did not ask."""
+    words = HEIGHT_WORDS.get(component.heights or "", "")
+    reason = (component.summary.get("height_verdict") or {}).get("reason", "")
+    lean = component.summary.get("lean_m_per_m")
+    told = f"{words}{': ' + reason if reason else ''}." if words else ""
+    if lean is None:
+        return told
+    return (
+        f"{told} In the orthophoto, buildings lean by {hypot(*lean):.2f} m per metre of height towards "
+        f"{degrees(atan2(*lean)) % 360:.0f}°, which was taken out."
+    ).lstrip()
 
 
 def criteria(component: ComponentSummary) -> list[dict[str, Any]]:
