@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from skymoor.errors import InputError, TooFewMatches
+from skymoor.geo.operations import installed_grids
 from skymoor.match import CyclicOptions, DenseMatcher, SearchOptions, StructuralMatcher, match_hypothesis
 from skymoor.match.decoys import decoy_scores
 from skymoor.match.search import search_hypotheses
@@ -25,7 +26,7 @@ from skymoor.pipeline.log import logged
 from skymoor.pipeline.option_parser import with_options
 from skymoor.pipeline.options import Options, check_engines
 from skymoor.pipeline.provenance import provenance
-from skymoor.pipeline.site import Site, load_site, site_from_arguments
+from skymoor.pipeline.site import ReferenceFiles, Site, load_site, site_from_arguments
 from skymoor.reference.raster import raster_files
 from skymoor.reference.read import read_reference
 from skymoor.registration.significance import false_alarm_probability
@@ -53,7 +54,7 @@ def register(
     airborne: Where | None = None,
     ground: Where | Sequence[Where] = (),
     ortho: Where | None = None,
-    dsm: Where | None = None,
+    dsm: Where | float | None = None,
     vertical_datum: str | None = None,
     ce90: float | None = None,
     le90: float | None = None,
@@ -72,10 +73,11 @@ def register(
         airborne: folder of airborne photos.
         ground: a folder of ground photos, or several.
         ortho: orthophoto, any CRS that GDAL reads.
-        dsm: its surface model, heights in metres.
-        vertical_datum: what the DSM's heights refer to: "ellipsoid", or an EPSG code such as "EPSG:3855".
+        dsm: its surface model, in any unit that the file states; or one height of the ground in metres. Without it
+            models are placed on the map, but not in height.
+        vertical_datum: what these heights refer to: "ellipsoid", or an EPSG code such as "EPSG:3855".
         ce90: circular error of the reference, 90 percent, metres.
-        le90: linear (vertical) error of the reference, 90 percent, metres.
+        le90: linear (vertical) error of the reference, 90 percent, metres; not needed without heights.
         options: by dotted names or nested, such as {"match.max_height_m": 150}; they overrule those of the site.
         seed: makes a run repeatable.
         progress: called with the name of a stage, steps done and in all, and now and then a line: progress("search",
@@ -103,7 +105,8 @@ def register(
         ]
         rasters = (loaded.reference.ortho, loaded.reference.dsm)
         made_from = provenance(rasters, {job.name: job.photos for job in jobs}, weights, store)
-        write_products(sets, loaded, jobs[0].reference, chosen, seed, made_from, store)
+        products = jobs[0].track("products")
+        write_products(sets, loaded, jobs[0].reference, chosen, seed, made_from, store, progress=products)
         result = Result.read(Path(out))
         write_report(result, store)
     return result
@@ -202,7 +205,7 @@ def site_of(
     airborne: Where | None = None,
     ground: Where | Sequence[Where] = (),
     ortho: Where | None = None,
-    dsm: Where | None = None,
+    dsm: Where | float | None = None,
     vertical_datum: str | None = None,
     ce90: float | None = None,
     le90: float | None = None,
@@ -217,10 +220,16 @@ def site_of(
         if clash is not None:
             raise InputError(f"{site} already names the data: leave out --{clash}")
         return load_site(Path(site), vertical_datum=vertical_datum, ce90=ce90, le90=le90)
-    if ortho is None or dsm is None:
-        raise InputError("name a site.toml, or give --airborne, --ortho and --dsm")
+    if ortho is None:
+        raise InputError("name a site.toml, or give --airborne, --ortho and, where there is one, --dsm")
     photos = None if airborne is None else Path(airborne)
-    return site_from_arguments(photos, folders, Path(ortho), Path(dsm), vertical_datum, ce90, le90)
+    heights = None if dsm is None else float(dsm) if isinstance(dsm, int | float) else Path(dsm)
+    return site_from_arguments(photos, folders, Path(ortho), heights, vertical_datum, ce90, le90)
+
+
+def _rasters(files: ReferenceFiles) -> list[Path]:
+    """The files of the reference."""
+    return [path for path in (files.ortho, files.dsm) if isinstance(path, Path)]
 
 
 def _folders(site: Site) -> list[Path]:
@@ -247,7 +256,7 @@ def _jobs(
         files.vertical_datum,
         files.covariance,
         progress=track("reference"),
-        depends_on=raster_files(files.ortho, files.dsm),
+        depends_on=(raster_files(*_rasters(files)), installed_grids()),
     )
     airborne = Job(photos, reference, options, store, seed, track)
     jobs = [airborne]
@@ -276,7 +285,7 @@ def _require_run(site: Site, out: Path, seed: int) -> None:
     if not 0 <= seed <= LARGEST_SEED:
         raise InputError(f"--seed {seed}: give a whole number from 0 to {LARGEST_SEED}")
     folders, where = _folders(site), out.resolve()
-    for path in (site.reference.ortho, site.reference.dsm, *folders):
+    for path in (*_rasters(site.reference), *folders):
         inside = path.resolve()
         if inside == where or (inside.is_relative_to(where) and inside.relative_to(where).parts[0] in PRODUCTS):
             raise InputError(f"{path}: lies where the results would be written; give another folder with --out")

@@ -37,7 +37,8 @@ def fit(scale: float, sigma: float, **change: object) -> HeightFit:
         (0.02, 0.05, NARROW, "OFFSET_ONLY", "where the reference has none: is it flat, or a terrain model"),
         (0.9, 0.5, NARROW, "OFFSET_ONLY", "too small, or the elevation model too coarse"),
         (float("nan"), float("inf"), NARROW, "OFFSET_ONLY", "too small for the resolution"),
-        (1.7, 0.1, replace(WIDE, focal_high_ratio=2.2), "OFFSET_ONLY", "does not tell right from wrong"),
+        (2.95, 0.87, WIDE, "NOT_CONFIRMED", "feet"),
+        (1.7, 0.1, replace(WIDE, focal_high_ratio=1.5), "OFFSET_ONLY", "does not tell right from wrong"),
     ],
 )
 def test_each_verdict(scale: float, sigma: float, calibration: Calibration | None, status: str, words: str) -> None:

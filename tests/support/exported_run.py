@@ -83,9 +83,10 @@ def write_run(root: Path) -> Path:
     up = (3 + np.sin(plan[..., 0] / 9) + plan[..., 1] / 20).astype(np.float32)
     up[:5] = np.nan
     rgb = np.dstack([np.full(up.shape, grey, np.uint8) for grey in (200, 100, 50)])
-    ortho, dsm = geotiffs(rgb, up, grid, FRAME, "EPSG:32719")
+    ortho, dsm, confidence = geotiffs(rgb, up, np.full(up.shape, 80, np.uint8), grid, FRAME, "EPSG:32719")
     (folder / "ortho.tif").write_bytes(ortho)
     (folder / "dsm.tif").write_bytes(dsm)
+    (folder / "confidence.tif").write_bytes(confidence)
     cloud = pointcloud_las(model.points, model.colours, FRAME, "EPSG:32719")
     (folder / "pointcloud.laz").write_bytes(cloud)
     rows = placed_cameras("airborne", 0, model.cameras[:4], FRAME, [2.1, 3.8, 0.1, 0.2])

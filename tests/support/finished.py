@@ -34,7 +34,9 @@ def finished_run(folder: Path, *, cameras: int = 9, registered: bool = True) -> 
     rgb = cv2.resize(rng.integers(0, 255, (10, 10, 3), np.uint8), (80, 80), interpolation=cv2.INTER_CUBIC)
     height = cv2.resize(rng.uniform(0, 8, (10, 10)).astype(np.float32), (80, 80))
     frame = EnuFrame(48.0, 11.0, 500.0)
-    for path, content in zip(("ortho.tif", "dsm.tif"), geotiffs(rgb, height, grid, frame, CRS), strict=True):
+    sure = np.full((80, 80), 90, np.uint8)
+    names = ("ortho.tif", "dsm.tif")
+    for path, content in zip(names, geotiffs(rgb, height, sure, grid, frame, CRS), strict=False):
         (folder / path).write_bytes(content)
     reference = read_reference(folder / "ortho.tif", folder / "dsm.tif", "ellipsoid", np.diag([1.0, 1.0, 2.0]))
     model = np.where(np.hypot(*np.indices((80, 80)) - 40.0) < 25, height + 0.5, np.nan).astype(np.float32)
@@ -52,7 +54,8 @@ def finished_run(folder: Path, *, cameras: int = 9, registered: bool = True) -> 
 
 
 def _write_model(run: Path, rgb: Any, model: Any, grid: Grid, frame: EnuFrame) -> None:
-    for path, content in zip(("ortho.tif", "dsm.tif"), geotiffs(rgb, model, grid, frame, CRS), strict=True):
+    names, sure = ("ortho.tif", "dsm.tif", "confidence.tif"), np.full((80, 80), 90, np.uint8)
+    for path, content in zip(names, geotiffs(rgb, model, sure, grid, frame, CRS), strict=True):
         (run / path).write_bytes(content)
     points = np.concatenate([grid.centres(), model[..., None]], axis=-1).reshape(-1, 3)
     (run / "pointcloud.laz").write_bytes(pointcloud_las(points, rgb.reshape(-1, 3), frame, CRS))

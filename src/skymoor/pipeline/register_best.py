@@ -15,7 +15,7 @@ from skymoor.match.cyclic import CyclicOptions
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.rasters import nadir_raster, reference_raster
 from skymoor.match.search import ImageHypothesis
-from skymoor.pipeline.overlay import warp_to_reference
+from skymoor.pipeline.overlay import warp_to_grid
 from skymoor.registration import (
     HeightFit,
     LiftOptions,
@@ -116,7 +116,7 @@ def register_on_map(
     limit = inlier_limit_m(reference.grid.pixel_m, options)
     try:
         fit = fit_plan(plan, east_north, above_ground_m, inlier_m=limit, rng=rng)
-        _, up = warp_to_reference(render, flat_transform(fit), reference, min_confidence)
+        _, up = warp_to_grid(render, flat_transform(fit), reference.grid, min_confidence)
         heights, verdict = _heights(up, reference, prior.calibration)
         tilt_deg = min(options.tilt_sigma_deg, max(prior.tilt_sigma_deg, MIN_TILT_SIGMA_DEG))
         return place_on_map(matches, fit, heights, verdict, above_ground_m, tilt_sigma_deg=tilt_deg, rng=rng)

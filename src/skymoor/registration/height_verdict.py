@@ -17,21 +17,32 @@ from skymoor.types import Calibration, HeightStatus, HeightVerdict
 
 SIGNIFICANT = 3.0
 """Standard deviations: one right ratio in 370 is beyond them."""
-CLEARER = 2.0  # standard deviations by which a known error must fit worse than a right scale
 FLAT_M = 0.02  # relief of a reference that is one plane
+MOST_LIKELY, UNLIKELY = 0.5, 0.01
+"""Probability of a known error from which it is told as the cause, and below which a right scale is confirmed."""
 
-CAUSES = {
-    1 / 0.3048: "are heights in feet?",
-    0.3048: "were heights in metres converted as if they were feet?",
-    2.0: "are heights exaggerated?",
-    -1.0: "are these depths, counted downwards?",
-}
-"""Ratios of reference to model that are known errors of elevation models, and what to ask."""
+
+@dataclass(frozen=True)
+class Cause:
+    """A known error of elevation models: the ratio to the model, odds beforehand, and what to ask the user."""
+
+    ratio: float
+    odds: float
+    ask: str
+
+
+CAUSES = (
+    Cause(1 / 0.3048, 0.05, "are heights in feet?"),
+    Cause(0.3048, 0.01, "were heights in metres converted as if they were feet?"),
+    Cause(2.0, 0.01, "are heights exaggerated?"),
+    Cause(-1.0, 0.01, "are these depths, counted downwards?"),
+)
+"""Odds against a right scale: a statement of experience, which matters only where the relief tells little."""
 UNKNOWN_CAUSE = "does the elevation model belong to the orthophoto?"
 
 
 @dataclass(frozen=True)
-class _Interval:
+class Interval:
     """Height scales that the photos leave open, relative to the model's."""
 
     low: float
@@ -81,22 +92,26 @@ def _verdict(fit: HeightFit, calibration: Calibration | None) -> tuple[HeightSta
             f"the model has relief ({fit.model_relief_m:.1f} m) where the reference has none: is it flat, or a terrain "
             "model without houses and trees?"
         )
-    photos = _Interval(*(1.0, 1.0) if calibration is None else _bounds(calibration))
+    photos = Interval(*(1.0, 1.0) if calibration is None else _bounds(calibration))
     own = photos.distance(ratio, sigma, 1.0)
-    others = {factor: photos.distance(ratio, sigma, factor) for factor in CAUSES}
-    likely = min(others, key=lambda factor: others[factor])
-    if own > SIGNIFICANT:
-        asked = CAUSES[likely] if others[likely] <= SIGNIFICANT else UNKNOWN_CAUSE
+    likely = min(CAUSES, key=lambda cause: photos.distance(ratio, sigma, cause.ratio))
+    probability = probability_of_error(ratio, sigma, photos)
+    if own > SIGNIFICANT or probability > MOST_LIKELY:
+        fits = photos.distance(ratio, sigma, likely.ratio) <= SIGNIFICANT
         return "NOT_CONFIRMED", (
             f"the reference's relief is {ratio:.2f} +- {sigma:.2f} times the model's, and the photos allow "
-            f"{photos.low:.2f} to {photos.high:.2f}: {asked}"
+            f"{photos.low:.2f} to {photos.high:.2f}: {likely.ask if fits else UNKNOWN_CAUSE}"
         )
-    if others[likely] < own + CLEARER:
-        return (
-            "OFFSET_ONLY",
-            f"the relief (ratio {ratio:.2f} +- {sigma:.2f}) does not tell right from wrong",
-        )
+    if probability > UNLIKELY:
+        return "OFFSET_ONLY", f"the relief (ratio {ratio:.2f} +- {sigma:.2f}) does not tell right from wrong"
     return "CONFIRMED", ""
+
+
+def probability_of_error(ratio: float, sigma: float, photos: Interval) -> float:
+    """Probability that a ratio of reliefs comes of one of the known errors and not of a right elevation model."""
+    right = np.exp(-(photos.distance(ratio, sigma, 1.0) ** 2) / 2)
+    wrong = sum(cause.odds * np.exp(-(photos.distance(ratio, sigma, cause.ratio) ** 2) / 2) for cause in CAUSES)
+    return float(wrong / (right + wrong)) if right + wrong > 0 else 0.0
 
 
 def _bounds(calibration: Calibration) -> tuple[float, float]:
@@ -107,9 +122,11 @@ def focal_posterior(verdict: HeightVerdict, calibration: Calibration | None) -> 
     """Factor for the focal length and its relative standard deviation, from photos and relief together.
 
     Both are measurements of one logarithm: the photos' interval around 0, and the ratio of reliefs. None where the
-    relief says nothing of it.
+    relief says nothing of it, or heights are not believed.
     """
-    if verdict.status != "CONFIRMED" or verdict.scale is None or verdict.scale_sigma is None or calibration is None:
+    if verdict.status == "NOT_CONFIRMED" or verdict.scale is None or verdict.scale_sigma is None or calibration is None:
+        return None
+    if verdict.scale < SIGNIFICANT * verdict.scale_sigma:
         return None
     photo_sigma, relief_sigma = max(calibration.focal_sigma, 1e-4), verdict.scale_sigma / verdict.scale
     share = photo_sigma**2 / (photo_sigma**2 + relief_sigma**2)

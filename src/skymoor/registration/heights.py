@@ -26,7 +26,7 @@ SMOOTH = 3.0
 """Growth of detail with its size, as an exponent, above which a surface is smooth: edges have 1, interpolated cells 3
 to 8; measured on four elevation models and their means over 10 and 30 m (bilinear interpolation is a blur of half a
 cell, which is 1.2 to 1.4 times the size at which the exponent falls below 3)."""
-SHARP_M, BLUR_RANGE = 2.8, (0.8, 2.4)
+SHARP_M, SHARP_PX, BLUR_RANGE = 1.4, 3.0, (0.8, 2.4)
 KNOWN_SHARE = 0.6  # of the blurring window
 BLOCK_M, BLOCK_BLURS = 12.0, 4.0  # side of a jackknife block: metres, and in sigmas of the blur
 MIN_BLOCKS, MIN_PIXELS = 8, 50
@@ -118,12 +118,14 @@ def blur_range(reference: Array32, pixel_m: float, dsm_pixel_m: float) -> tuple[
     sizes = np.array([size for size in BLURS_M if size < min(surface.shape) * size_m / 8])
     bands = [_blurred(surface, 0.8 * size / size_m) - _blurred(surface, 1.25 * size / size_m) for size in sizes]
     detail = np.array([float(np.median(np.abs(band[np.isfinite(band)]))) for band in bands if np.isfinite(band).any()])
+    # Without a sign of smoothing, the blur is that of a usual surface model.
+    sharp = least, max(least, SHARP_M, SHARP_PX * min(dsm_pixel_m, BLUR_M))
     if len(detail) < 2 or not (detail > 0).all():
-        return least, max(least, SHARP_M)
+        return sharp
     growth = 2 * np.diff(np.log(detail)) / np.diff(np.log(sizes[: len(detail)]))
     smooth = int(np.argmax(growth < SMOOTH)) if (growth < SMOOTH).any() else len(growth)
     if smooth == 0:
-        return least, max(least, SHARP_M)
+        return sharp
     size = float(sizes[smooth])
     return max(least, BLUR_RANGE[0] * size), max(least, BLUR_RANGE[1] * size)
 
@@ -152,9 +154,7 @@ def _over_blurs(pairs: _Pairs, blurs: Array, size_m: float) -> HeightFit | None:
     widths = np.hypot(BLUR_M, blurs)
     logs = np.array([fit.log_likelihood for fit in fits])
     independent = len(pairs.target) * size_m**2 / (4 * np.pi * (widths[int(np.argmax(logs))] ** 2 + 1))
-    # An elevation model without a sign of smoothing is likelier as sharp as its file than blurred by several pixels.
-    beforehand = widths**-2.0 if blurs[-1] <= SHARP_M else np.ones(len(blurs))
-    shares = np.exp(independent * (logs - logs.max())) * beforehand
+    shares = np.exp(independent * (logs - logs.max()))
     shares /= shares.sum()
     best = int(np.argmax(shares))
     judged = _judged(fits[best], pairs.east_north, pairs.models[best], pairs.target, float(blurs[best]))

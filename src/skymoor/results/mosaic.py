@@ -69,8 +69,9 @@ def mosaic_of(result: Result, max_pixels: float = 1e6) -> Mosaic:
 
 def _reference(result: Result, max_pixels: float) -> tuple[Reference | None, str]:
     files = result.summary["reference"]
-    ortho, dsm = Path(files.get("ortho", "")), Path(files.get("dsm", ""))
-    missing = next((path for path in (ortho, dsm) if not path.is_file()), None)
+    ortho, dsm = Path(files.get("ortho", "")), files.get("dsm")
+    dsm = Path(dsm) if isinstance(dsm, str) else dsm  # a number is the height of the ground
+    missing = next((path for path in (ortho, dsm) if isinstance(path, Path) and not path.is_file()), None)
     if missing is not None:
         return None, f"{missing}: the reference is not where the run found it; its images are left out"
     try:

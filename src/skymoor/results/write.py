@@ -18,7 +18,7 @@ from skymoor.geometry import Similarity
 from skymoor.pipeline.job import ComponentResult
 from skymoor.pipeline.option_parser import option_values
 from skymoor.pipeline.options import MatchOptions, Options
-from skymoor.pipeline.overlay import warp_to_reference
+from skymoor.pipeline.overlay import warp_to_grid
 from skymoor.pipeline.site import Site
 from skymoor.registration import CameraAccuracy, camera_accuracy
 from skymoor.results.formats import (
@@ -30,6 +30,7 @@ from skymoor.results.formats import (
     pointcloud_las,
     unplaced_cameras,
 )
+from skymoor.results.model_rasters import model_rasters
 from skymoor.results.report.renderings import (
     confidence_figure,
     height_figure,
@@ -39,7 +40,7 @@ from skymoor.results.report.renderings import (
 )
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow
 from skymoor.store import Store
-from skymoor.types import Array, HeightStatus, Reference
+from skymoor.types import Array, HeightStatus, Image, Progress, Reference, no_progress
 
 REGISTERED, NOT_REGISTERED = "REGISTERED", "NOT_REGISTERED"
 GROUND_STEP_PX = 3  # ground photos see the same wall often: a ninth of their pixels is enough for the cloud
@@ -88,6 +89,8 @@ def write_products(
     seed: int,
     provenance: Mapping[str, Any],
     store: Store,
+    *,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Write all products of a run; returns the summary. `provenance` is what the run was made from."""
     rows = [row for found in sets for row in camera_rows(found, reference)]
@@ -99,7 +102,8 @@ def write_products(
     for found in sets:
         for k, item in enumerate(found.components):
             _write_component(f"{found.name}_{k}", item, reference, options.match, store)
-    _write_rasters([item for found in sets for item in found.components], reference, options.match, store)
+    components = [item for found in sets for item in found.components]
+    _write_rasters(components, reference, options.match, store, progress)
     summary = {
         "skymoor": __version__,
         "site": site.name,
@@ -107,7 +111,7 @@ def write_products(
         "options": option_values(options),
         "reference": {
             "ortho": site.reference.ortho.resolve(),
-            "dsm": site.reference.dsm.resolve(),
+            "dsm": dsm.resolve() if isinstance(dsm := site.reference.dsm, Path) else dsm,
             "vertical_datum": site.reference.vertical_datum,
             "covariance_m2": reference.covariance,
             "pixel_m": reference.grid.pixel_m,
@@ -265,43 +269,51 @@ def _write_pictures(
     if found.enu_from_level is None or found.residuals_m is None:
         return
     pixel_m = reference.grid.pixel_m
-    warped, _ = warp_to_reference(render, found.enu_from_level, reference, options.min_height_confidence)
+    warped, _ = warp_to_grid(render, found.enu_from_level, reference.grid, options.min_height_confidence)
     store.write_png(f"matches/{name}_overlay.png", overlay_figure(warped, reference.rgb, pixel_m=pixel_m))
     arrows = residual_figure(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
     store.write_png(f"matches/{name}_residuals.png", arrows)
 
 
 def _write_rasters(
-    components: Sequence[ComponentResult], reference: Reference, options: MatchOptions, store: Store
+    components: Sequence[ComponentResult],
+    reference: Reference,
+    options: MatchOptions,
+    store: Store,
+    progress: Progress,
 ) -> None:
-    """pointcloud.laz, ortho.tif and dsm.tif of all registered components; smaller ones fill what larger leave."""
-    rgb = np.zeros((*reference.grid.shape, 3), np.uint8)
-    height = np.full(reference.grid.shape, np.nan, np.float32)
-    clouds, colours = [], []
-    for item in components:
-        if not item.registration.registered or item.registration.enu_from_level is None:
-            continue
-        if item.render is None:
-            for xyz_level, rgb_of in (depth_map.points(step=GROUND_STEP_PX) for depth_map in item.depths):
-                clouds.append(item.registration.enu_from_level.apply(xyz_level.astype(np.float64)))
-                colours.append(rgb_of)
-            continue
-        confident = item.render.confidence >= options.min_height_confidence
-        clouds.append(item.registration.enu_from_level.apply(item.render.xyz[confident].astype(np.float64)))
-        colours.append(item.render.rgb[confident])
-        transform = item.registration.enu_from_level
-        warped, up = warp_to_reference(item.render, transform, reference, options.min_height_confidence)
-        fill = np.isnan(height) & np.isfinite(up)
-        rgb[fill], height[fill] = warped.rgb[fill], up[fill]
-    names = ("pointcloud.laz", "ortho.tif", "dsm.tif")
+    """pointcloud.laz, ortho.tif, dsm.tif and confidence.tif of all registered components."""
+    names = ("pointcloud.laz", "ortho.tif", "dsm.tif", "confidence.tif")
+    rasters = model_rasters(components, progress=progress)
     try:
-        if not clouds:
-            raise DegenerateGeometry("nothing is registered")
-        cloud = pointcloud_las(np.concatenate(clouds), np.concatenate(colours), reference.frame, reference.crs)
-        contents = (cloud, *geotiffs(rgb, height, reference.grid, reference.frame, reference.crs))
+        cloud = pointcloud_las(*_cloud(components, options), reference.frame, reference.crs)
+        if rasters is None:
+            raise DegenerateGeometry("nothing was rendered from above")
+        images = (rasters.rgb, rasters.height, rasters.confidence)
+        contents = (cloud, *geotiffs(*images, rasters.grid, reference.frame, reference.crs))
     except DegenerateGeometry:
         for name in names:
             store.remove(name)
         return
     for name, content in zip(names, contents, strict=True):
         store.write_bytes(name, content)
+
+
+def _cloud(components: Sequence[ComponentResult], options: MatchOptions) -> tuple[Array, Image]:
+    """Points (n, 3) ENU and colours (n, 3): of the renders where they are confident, and of ground depth maps."""
+    clouds, colours = [], []
+    for item in components:
+        transform = item.registration.enu_from_level
+        if not item.registration.registered or transform is None:
+            continue
+        if item.render is None:
+            for xyz_level, rgb in (depth_map.points(step=GROUND_STEP_PX) for depth_map in item.depths):
+                clouds.append(transform.apply(xyz_level.astype(np.float64)))
+                colours.append(rgb)
+            continue
+        confident = item.render.confidence >= options.min_height_confidence
+        clouds.append(transform.apply(item.render.xyz[confident].astype(np.float64)))
+        colours.append(item.render.rgb[confident])
+    if not clouds:
+        raise DegenerateGeometry("nothing is registered")
+    return np.concatenate(clouds), np.concatenate(colours)

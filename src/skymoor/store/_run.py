@@ -43,7 +43,16 @@ UNCOUNTED = ("progress", "checkpoint")
 """Options of stages that change how the work goes on, and not what comes of it."""
 
 PRODUCTS = (
-    *("summary.json", "cameras.csv", "cameras.geojson", "colmap", "pointcloud.laz", "ortho.tif", "dsm.tif"),
+    *(
+        "summary.json",
+        "cameras.csv",
+        "cameras.geojson",
+        "colmap",
+        "pointcloud.laz",
+        "ortho.tif",
+        "dsm.tif",
+        "confidence.tif",
+    ),
     *("renders", "matches", "evaluation.json", "report.html", "run.log", STAGES),
 )
 """What skymoor writes into a run directory, or deletes from it."""

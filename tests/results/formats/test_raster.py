@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 FRAME = EnuFrame(46.5, 7.5, 600.0)
 GRID = Grid(900.0, -300.0, 0.5, (300, 400))  # 1 km off the origin, where the axes of map and ENU differ most
+SURE = np.full(GRID.shape, 80, np.uint8)
 PERIOD_M = 40.0
 CRSS = ["EPSG:32632", "EPSG:4326", "EPSG:2056", "EPSG:3857"]
 
@@ -45,7 +46,7 @@ def known_enu(dsm: DatasetReader) -> tuple[Array, NDArray[np.bool_]]:
 @pytest.mark.parametrize("crs", CRSS)
 def test_pixels_lie_within_a_tenth_of_a_pixel(crs: str) -> None:
     rgb, height = terrain()
-    ortho_bytes, dsm_bytes = geotiffs(rgb, height, GRID, FRAME, crs)
+    ortho_bytes, dsm_bytes, _ = geotiffs(rgb, height, SURE, GRID, FRAME, crs)
     with MemoryFile(ortho_bytes) as a, MemoryFile(dsm_bytes) as b, a.open() as ortho, b.open() as dsm:
         assert ortho.transform == dsm.transform
         xyz_enu, known = known_enu(dsm)
@@ -69,7 +70,7 @@ def test_pixels_lie_within_a_tenth_of_a_pixel(crs: str) -> None:
 @pytest.mark.parametrize("crs", CRSS)
 def test_heights_are_ellipsoidal_and_in_place(crs: str) -> None:
     rgb, height = terrain()
-    with MemoryFile(geotiffs(rgb, height, GRID, FRAME, crs)[1]) as memory, memory.open() as dsm:
+    with MemoryFile(geotiffs(rgb, height, SURE, GRID, FRAME, crs)[1]) as memory, memory.open() as dsm:
         xyz_enu, _ = known_enu(dsm)
         assert (dsm.dtypes, dsm.nodata, dsm.units) == (("float32",), -9999.0, ("m",))
         assert dsm.tags()["VERTICAL_DATUM"] == "ellipsoid"
@@ -87,7 +88,8 @@ def test_far_and_high_is_in_place_too() -> None:
     grid = Grid(4000.0, 3000.0, 0.5, (200, 300))
     plan = grid.centres()
     height = np.where(plan[..., 0] > 4060, 500.0, 0.0) + 0.2 * (plan[..., 1] - 2950)
-    _, dsm_bytes = geotiffs(np.zeros((*grid.shape, 3), np.uint8), height, grid, FRAME, "EPSG:32632")
+    sure = np.full(grid.shape, 80, np.uint8)
+    _, dsm_bytes, _ = geotiffs(np.zeros((*grid.shape, 3), np.uint8), height, sure, grid, FRAME, "EPSG:32632")
     with MemoryFile(dsm_bytes) as memory, memory.open() as dsm:
         xyz_enu, _ = known_enu(dsm)
     for plain, expected in ((xyz_enu[:, 0] < 4057, 0.0), (xyz_enu[:, 0] > 4063, 500.0)):
@@ -99,7 +101,7 @@ def test_far_and_high_is_in_place_too() -> None:
 def test_unknown_pixels_stay_unknown() -> None:
     rgb, height = terrain()
     height[100:200, 100:300] = np.nan
-    ortho_bytes, dsm_bytes = geotiffs(rgb, height, GRID, FRAME, "EPSG:32632")
+    ortho_bytes, dsm_bytes, _ = geotiffs(rgb, height, SURE, GRID, FRAME, "EPSG:32632")
     with MemoryFile(dsm_bytes) as memory, memory.open() as dsm:
         xyz_enu, known = known_enu(dsm)
     px = GRID.px_from_enu(xyz_enu[:, :2])
@@ -111,9 +113,24 @@ def test_unknown_pixels_stay_unknown() -> None:
         assert set(np.unique(ortho.read(4))) == {0, 255}
 
 
+def test_confidence_goes_with_the_pixel_it_is_of() -> None:
+    rgb, height = terrain()
+    height[100:200, 100:300] = np.nan
+    trust = SURE.copy()
+    trust[:, 350:] = 0  # interpolated
+    _, dsm_bytes, trust_bytes = geotiffs(rgb, height, trust, GRID, FRAME, "EPSG:32632")
+    with MemoryFile(dsm_bytes) as a, MemoryFile(trust_bytes) as b, a.open() as dsm, b.open() as confidence:
+        xyz_enu, known = known_enu(dsm)
+        values = confidence.read(1)
+        assert confidence.transform == dsm.transform and confidence.nodata == 255
+    np.testing.assert_array_equal(values != 255, known)
+    column = GRID.px_from_enu(xyz_enu[:, :2])[:, 0]
+    assert (values[known][column > 350.6] == 0).all() and (values[known][column < 349.4] == 80).all()
+
+
 def test_pixel_size_is_as_asked() -> None:
     rgb, height = terrain()
-    ortho_bytes, _ = geotiffs(rgb, height, GRID, FRAME, "EPSG:32632", pixel_size=2.0)
+    ortho_bytes, _, _ = geotiffs(rgb, height, SURE, GRID, FRAME, "EPSG:32632", pixel_size=2.0)
     with MemoryFile(ortho_bytes) as memory, memory.open() as ortho:
         assert ortho.res == (2.0, 2.0)
         assert ortho.bounds.left % 2.0 == ortho.bounds.top % 2.0 == 0.0
@@ -123,8 +140,8 @@ def test_pixel_size_is_as_asked() -> None:
 def test_what_cannot_be_exported() -> None:
     rgb, height = terrain()
     with pytest.raises(DegenerateGeometry, match="no heights"):
-        geotiffs(rgb, np.full_like(height, np.nan), GRID, FRAME, "EPSG:32632")
+        geotiffs(rgb, np.full_like(height, np.nan), SURE, GRID, FRAME, "EPSG:32632")
     with pytest.raises(InputError, match="not known"):
-        geotiffs(rgb, height, GRID, FRAME, "EPSG:999999")
+        geotiffs(rgb, height, SURE, GRID, FRAME, "EPSG:999999")
     with pytest.raises(ValueError, match="grid"):
-        geotiffs(rgb[1:], height, GRID, FRAME, "EPSG:32632")
+        geotiffs(rgb[1:], height, SURE, GRID, FRAME, "EPSG:32632")

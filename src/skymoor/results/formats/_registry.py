@@ -73,6 +73,8 @@ def _laz(source: Source, folder: Path) -> str:
 def _cog(source: Source, folder: Path) -> str:
     for name in ("ortho.tif", "dsm.tif"):
         write_cog(source.product(name), folder / name)
+    if (source.result.folder / "confidence.tif").is_file():  # runs of former versions have none
+        write_cog(source.product("confidence.tif"), folder / "confidence.tif")
     return ELLIPSOID
 
 

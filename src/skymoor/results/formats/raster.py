@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +23,7 @@ from skymoor.results.formats._crs import MapFrame
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-NODATA_M = -9999.0
+NODATA_M, UNKNOWN = -9999.0, 255
 LATTICE_PX = 32
 BLOCK_ROWS = 16 * LATTICE_PX
 HEIGHT_STEP_M = 100.0
@@ -32,20 +33,22 @@ MOST_PIXELS = 2**31
 def geotiffs(
     rgb: NDArray[np.uint8],
     height: NDArray[np.floating],
+    confidence: NDArray[np.uint8],
     grid: Grid,
     frame: EnuFrame,
     crs: str,
     pixel_size: float | None = None,
-) -> tuple[bytes, bytes]:
-    """Orthophoto (RGB and alpha) and DSM (float32) as GeoTIFF files, north-up in the map projection `crs`.
+) -> tuple[bytes, bytes, bytes]:
+    """Orthophoto (RGB, alpha), DSM (float32) and confidence as GeoTIFF files, north-up in the map projection `crs`.
 
-    `rgb` (h, w, 3) and `height` (h, w), ENU up in metres with NaN where nothing is known, lie on `grid`. The DSM holds
-    metres above the WGS 84 ellipsoid, -9999 where nothing is known. `pixel_size` is in units of the CRS; by default
+    `rgb` (h, w, 3), `height` (h, w), ENU up in metres with NaN where nothing is known, and `confidence` (h, w) lie on
+    `grid`. The DSM holds metres above the WGS 84 ellipsoid, -9999 where nothing is known. Confidence is in percent, 0
+    where values were interpolated and 255 where nothing is known. `pixel_size` is in units of the CRS; by default
     that of the grid. Values are bilinear; a pixel is known where at least half of the weight is.
 
     Raises `InputError` for an unknown CRS and `DegenerateGeometry` when no height is known.
     """
-    if rgb.shape != (*grid.shape, 3) or height.shape != grid.shape:
+    if rgb.shape != (*grid.shape, 3) or not height.shape == confidence.shape == grid.shape:
         raise ValueError(f"rgb {rgb.shape} and height {height.shape} do not lie on a grid of {grid.shape}")
     if not np.isfinite(height).any():
         raise DegenerateGeometry("the render has no heights, there is nothing to export")
@@ -54,13 +57,19 @@ def geotiffs(
     layers = _layers(rgb, height)
     ortho = np.zeros((4, *target.shape), np.uint8)
     dsm = np.full(target.shape, NODATA_M, np.float32)
+    trust = np.full(target.shape, UNKNOWN, np.uint8)
     for rows, px, offset in target.blocks(grid, height):
         colour, up, weight = _sampled(layers, px)
         known = weight >= 0.5
         ortho[:3, rows] = np.where(known, colour.transpose(2, 0, 1), 0)
         ortho[3, rows] = np.where(known, 255, 0)
         dsm[rows] = np.where(known, up + offset, NODATA_M)
-    return _written(ortho, target, chart, None), _written(dsm[None], target, chart, NODATA_M)
+        trust[rows] = np.where(known, _nearest(confidence, px), UNKNOWN)
+    return (
+        _written(ortho, target, chart, None),
+        _written(dsm[None], target, chart, NODATA_M),
+        _written(trust[None], target, chart, UNKNOWN),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,9 +147,9 @@ def _spread(lattice: Array, down: csr_array, across: csr_array) -> Array:
     return np.asarray((across @ (down @ lattice).T).T)
 
 
-def _nearest(height: NDArray[np.floating], px: Array) -> Array32:
-    u, v = np.floor(np.clip(px, 0, [height.shape[1] - 1, height.shape[0] - 1])).astype(int).transpose(2, 0, 1)
-    return np.asarray(height[v, u], dtype=np.float32)
+def _nearest(raster: NDArray[Any], px: Array) -> Array32:
+    u, v = np.floor(np.clip(px, 0, [raster.shape[1] - 1, raster.shape[0] - 1])).astype(int).transpose(2, 0, 1)
+    return np.asarray(raster[v, u], dtype=np.float32)
 
 
 def _layers(rgb: NDArray[np.uint8], height: NDArray[np.floating]) -> list[Array32]:
@@ -179,6 +188,8 @@ def _written(bands: NDArray[np.generic], target: _Target, chart: MapFrame, nodat
         ) as raster:
             if count == 4:
                 raster.colorinterp = [ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha]
+            elif bands.dtype == np.uint8:
+                raster.set_band_description(1, "confidence of height, percent; 0: interpolated")
             else:
                 raster.units = ["m"]
                 raster.update_tags(VERTICAL_DATUM="ellipsoid")
