@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
+from threadpoolctl import threadpool_limits
 
 from skymoor.errors import TooFewMatches
 from skymoor.geometry import Similarity, point_covariance
@@ -42,6 +43,8 @@ class CameraAccuracy:
         return self.shared + self.relative
 
 
+# Of small matrices, threads cost more than they give: ten times as much where another process is busy.
+@threadpool_limits.wrap(limits=1, user_api="blas")  # type: ignore[untyped-decorator]
 def matched_covariance(
     source: Array,
     target: Array,
@@ -94,6 +97,7 @@ def matched_covariance(
     return covariance, centre, float(kinds[0].posterior.sum(axis=1) @ lengths)
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # type: ignore[untyped-decorator]
 def plan_covariance(
     offsets: Array, residuals: Array, weights: Array, raised_m: Array | None, *, rng: np.random.Generator
 ) -> tuple[Array, float]:
