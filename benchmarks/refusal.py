@@ -29,25 +29,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.geometry import Similarity, umeyama
-from skymoor.match import DecoyOptions, ImageHypothesis, SearchOptions, match_hypothesis
+from skymoor.match import DecoyOptions, SearchOptions
 from skymoor.match.decoys import make_decoys, mirrored
 from skymoor.match.rasters import nadir_raster, reference_raster
 from skymoor.match.search import ReferencePyramid, search_in
 from skymoor.pipeline.options import Options
-from skymoor.pipeline.overlay import warp_to_reference
+from skymoor.pipeline.register_best import Prior, Steps, register_hypothesis
 from skymoor.pipeline.site import load_site
 from skymoor.reference.read import read_reference
-from skymoor.registration import decide, false_alarm_probability, height_agreement, lift, register
+from skymoor.registration import NullSample, decide
 from skymoor.types import Raster, Reference, Registration, Render, View, no_progress
 
 Array = NDArray[np.float64]
 RIGHT_M = 2.0
-CERTAINLY_REFUSED = 0.3
 # Some hundred searches have to be cheap: at a third of the product's resolution, over few scales, with few decoys. True
 # places are harder to tell from chance so, for the scores of both are of fewer pixels.
 SEARCH = SearchOptions(azimuth_step_deg=8.0, reference_px=160, template_px=64, keep=4, fine_px=256)
 DECOYS = DecoyOptions(count=5)
 OPTIONS = Options()
+MATCH = OPTIONS.match
+STEPS = Steps(
+    OPTIONS.engines.dense_matcher(MATCH.matcher),
+    MATCH.cyclic,
+    OPTIONS.lift,
+    OPTIONS.register,
+    MATCH.min_height_confidence,
+)
+PRIOR = Prior(1.0, None)
 SCALE_RANGE = 1.15
 
 
@@ -71,6 +79,7 @@ def model_of(run: Path, site: Path) -> Model:
     arrays = np.load(run / "renders/airborne_0_nadir.npz")
     matches = np.load(run / "matches/airborne_0.npz")
     inliers = matches["inliers"]
+    inliers &= np.isfinite(matches["xyz_enu"]).all(axis=1)
     placed = umeyama(matches["xyz_level"][inliers], matches["xyz_enu"][inliers])
     xyz = arrays["xyz"]
     known = np.isfinite(xyz[..., 0])
@@ -117,11 +126,18 @@ def registered_in(
         places.append(search_in(sized, raster, **scales, options=SEARCH, progress=no_progress))
     if not places[0]:
         return Registration(registered=False, reason="too small", enu_from_level=None), []
+    tried = [
+        (found, register_hypothesis(found[0], one, reference, PRIOR, STEPS, rng=rng))
+        for one, found in zip(renders, places, strict=True)
+        if found
+    ]
+    samples = [NullSample(found[0].score, candidate.agreement) for found, candidate in tried]
     decided = []
-    for k, (one, found) in enumerate(zip(renders, places, strict=True)):
-        null = [other[0].score for j, other in enumerate(places) if j not in (0, k) and other]
-        if found:
-            decided.append(registered(one, found, null, reference, rng))
+    for k, (found, one) in enumerate(tried):
+        scores = [hypothesis.score for hypothesis in found]
+        null = [sample for j, sample in enumerate(samples) if j not in (0, k)]
+        evidence = {"agreement": one.agreement, "decoys": null}
+        decided.append(decide(one.registration, scores, one.n_matches_2d, OPTIONS.register, **evidence))
     return decided[0], decided[1:]
 
 
@@ -135,30 +151,6 @@ def as_render(decoy: Raster, view: View) -> Render:
     return Render(view, decoy.rgb, xyz, known.astype(np.float32))
 
 
-def registered(
-    render: Render, hypotheses: list[ImageHypothesis], null: list[float], reference: Reference, rng: np.random.Generator
-) -> Registration:
-    """The best hypothesis matched, registered and decided as in the product; not matched where it is insignificant."""
-    scores = [one.score for one in hypotheses]
-    probability = false_alarm_probability(scores[0], null)
-    if probability > CERTAINLY_REFUSED:
-        diagnostics = {"search_score": scores[0], "false_alarm_probability": probability}
-        return Registration(registered=False, reason="chance", enu_from_level=None, diagnostics=diagnostics)
-    match = OPTIONS.match
-    picture, target = nadir_raster(render, match.min_height_confidence), reference_raster(reference)
-    matrix = hypotheses[0].matrix(picture.mask.shape)
-    matcher = OPTIONS.engines.dense_matcher(match.matcher)
-    pairs, _ = match_hypothesis(picture, target, matrix, matcher, match.cyclic, rng=rng)
-    metres_per_level = hypotheses[0].scale * reference.grid.pixel_m / render.view.pixel
-    matches = lift(pairs, render, reference, metres_per_level, OPTIONS.lift)
-    found = register(matches, reference.grid.pixel_m, OPTIONS.register, rng=rng, with_covariance=False)
-    heights = None
-    if found.registered:
-        _, up = warp_to_reference(render, found, reference, match.min_height_confidence)
-        heights = height_agreement(up, reference.height, reference.grid.pixel_m)
-    return decide(found, scores, len(pairs), OPTIONS.register, decoys=null, heights=heights)
-
-
 def row_of(model: Model, number: int, kind: str, found: Registration, render: Render | None) -> dict[str, object]:
     """One case; `render` where an error is known."""
     return {
@@ -167,17 +159,19 @@ def row_of(model: Model, number: int, kind: str, found: Registration, render: Re
         "kind": kind,
         "registered": found.registered,
         "reason": found.reason,
+        "heights": None if found.heights is None else found.heights.status,
         "error_m": error_m(render, found, model.enu_from_level) if render else None,
         **{key: found.diagnostics.get(key) for key in KEYS},
     }
 
 
 def error_m(render: Render, found: Registration, truth: Similarity) -> float:
-    """Median distance of the window's points from where they are."""
+    """Median distance in plan of the window's points from where they are."""
     if found.enu_from_level is None:
         return float("inf")
     points = render.xyz[np.isfinite(render.xyz[..., 0])][::50].astype(np.float64)
-    return float(np.median(np.linalg.norm(found.enu_from_level.apply(points) - truth.apply(points), axis=1)))
+    off = found.enu_from_level.apply(points) - truth.apply(points)
+    return float(np.median(np.linalg.norm(off[:, :2], axis=1)))
 
 
 def wrong_references(model: Model, others: list[Reference], rng: np.random.Generator) -> list[tuple[str, Reference]]:
@@ -225,7 +219,7 @@ def main() -> None:
     print(json.dumps(told(rows), indent=1))
 
 
-KEYS = ("search_score", "second_score", "decoy_score", "false_alarm_probability", "height_agreement", "cells")
+KEYS = ("search_score", "second_score", "decoy_score", "false_alarm_probability", "cells", "covered_cells")
 
 
 def told(rows: list[dict[str, object]]) -> dict[str, object]:
@@ -252,6 +246,8 @@ def told(rows: list[dict[str, object]]) -> dict[str, object]:
         "heights of another place": len(half),
         "believed with those": sum(bool(r["registered"]) for r in half),
         "believed with those and wrong": sum(bool(r["registered"]) and not right(r) for r in half),
+        "their heights confirmed": sum(bool(r["registered"]) and r["heights"] == "CONFIRMED" for r in half),
+        "heights confirmed of the right ones": sum(bool(r["registered"]) and r["heights"] == "CONFIRMED" for r in own),
         "decoys": len(decoyed),
         "decoys believed": sum(bool(r["registered"]) for r in decoyed),
         "roc: limit on chance; share passed of true cases, wrong places, decoys": roc,

@@ -76,24 +76,59 @@ def register_best(
         seed: of random choices.
     """
     rng = np.random.default_rng(seed)
-    image, map_image = nadir_raster(render, min_confidence), reference_raster(reference)
+    steps = Steps(matcher, cyclic, lift_options, options, min_confidence)
     results: list[tuple[Registration, Matches3D]] = []
     for k, hypothesis in enumerate(hypotheses[:candidates]):
-        b_from_a = hypothesis.matrix(image.mask.shape)
-        metres_per_level = hypothesis.scale * reference.grid.pixel_m / render.view.pixel
-        matches_2d, _ = match_hypothesis(image, map_image, b_from_a, matcher, cyclic, rng=rng)
-        matches = lift(matches_2d, render, reference, metres_per_level, lift_options)
-        above_m = _above_ground(matches, render, metres_per_level)
-        registration = register_on_map(matches, above_m, render, reference, prior, options, min_confidence, rng=rng)
-        agreement = Agreement(0, 1)
-        if registration.inliers is not None:
-            cell_px = options.correlation_m / reference.grid.pixel_m
-            px, inliers = matches.pixels.px_b, registration.inliers
-            agreement = count_cells(image.mask, map_image.mask, b_from_a, px, inliers, cell_px)
+        candidate = register_hypothesis(hypothesis, render, reference, prior, steps, rng=rng)
         scores = [hypothesis.score, *(other.score for j, other in enumerate(hypotheses) if j != k)]
-        found = decide(registration, scores, len(matches_2d), options, agreement=agreement, decoys=decoys)
-        results.append((found, matches))
+        one, n = candidate.registration, candidate.n_matches_2d
+        found = decide(one, scores, n, options, agreement=candidate.agreement, decoys=decoys)
+        results.append((found, candidate.matches))
     return max(results, key=lambda result: (result[0].registered, result[0].diagnostics.get("cells", 0.0)))
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How a hypothesis is matched, lifted and registered."""
+
+    matcher: DenseMatcher
+    cyclic: CyclicOptions
+    lift: LiftOptions
+    register: RegisterOptions
+    min_confidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A hypothesis with its matches: the transform that they agree on, and in how many cells; not yet decided."""
+
+    registration: Registration
+    matches: Matches3D
+    agreement: Agreement
+    n_matches_2d: int
+
+
+def register_hypothesis(
+    hypothesis: ImageHypothesis,
+    render: Render,
+    reference: Reference,
+    prior: Prior,
+    steps: Steps,
+    *,
+    rng: np.random.Generator,
+) -> Candidate:
+    """Match the render densely at a hypothesis, lift the matches and register them."""
+    image, map_image = nadir_raster(render, steps.min_confidence), reference_raster(reference)
+    b_from_a = hypothesis.matrix(image.mask.shape)
+    metres_per_level = hypothesis.scale * reference.grid.pixel_m / render.view.pixel
+    matches_2d, _ = match_hypothesis(image, map_image, b_from_a, steps.matcher, steps.cyclic, rng=rng)
+    matches = lift(matches_2d, render, reference, metres_per_level, steps.lift)
+    above_m = _above_ground(matches, render, metres_per_level)
+    found = register_on_map(matches, above_m, render, reference, prior, steps.register, steps.min_confidence, rng=rng)
+    inliers = np.zeros(len(matches), bool) if found.inliers is None else found.inliers
+    cell_px = steps.register.correlation_m / reference.grid.pixel_m
+    cells = count_cells(image.mask, map_image.mask, b_from_a, matches.pixels.px_b, inliers, cell_px)
+    return Candidate(found, matches, cells, len(matches_2d))
 
 
 def register_on_map(
