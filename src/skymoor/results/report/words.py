@@ -26,6 +26,9 @@ GLOSSARY = {
     "inliers": "Matches that agree with the transform within a limit; the inlier ratio is their share.",
     "residual": "What remains between a match of the model and of the reference after the transform.",
     "contrast": "How far ground photos agree better with the walls at the hypothesis than a few metres aside.",
+    "heights CONFIRMED": "The relief of the reference is the model's; a constant offset of all heights cannot be seen.",
+    "heights OFFSET_ONLY": "Heights hang on the reference's mean height: it is flat, too coarse, or shows too little relief.",
+    "heights NOT_CONFIRMED": "The reference has no heights, or such that contradict the photos: none is written.",
     "DSM": "Digital surface model: heights of the ground with buildings and trees.",
     "ellipsoidal height": "Height above the WGS 84 ellipsoid, tens of metres from the height above sea level.",
 }
@@ -120,4 +123,17 @@ def facts(component: ComponentSummary) -> list[tuple[str, str]]:
         ("RMSE of inliers", f"{number(one.get('rmse_m'))} m"),
         ("reprojection error", f"{number(one.get('reprojection_px'))} px"),
         ("tilt", f"{number(one.get('tilt_deg'))}°"),
+        *_height_facts(one),
     ]
+
+
+def _height_facts(one: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The figures behind the verdict on heights."""
+    verdict = one.get("height_verdict") or {}
+    scale, sigma = verdict.get("scale"), verdict.get("scale_sigma")
+    facts = [] if scale is None else [("height scale", f"{number(scale)} ± {number(sigma)}")]
+    if verdict.get("spread_m") is not None:
+        facts.append(("heights differ by", f"{number(verdict['spread_m'])} m"))
+    if verdict.get("resolution_m") is not None:
+        facts.append(("detail of the DSM", f"{number(verdict['resolution_m'], 1)} m"))
+    return facts
