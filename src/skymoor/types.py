@@ -288,7 +288,9 @@ class Reference:
     """Orthophoto and DSM resampled to one north-up ENU grid.
 
     `rgb` (h, w, 3) uint8 and `height` (h, w) float32, ENU up in metres, NaN where unknown; `mask` is where the
-    orthophoto has data; `covariance` (3, 3) m^2 is the reference's own absolute accuracy, east-north-up.
+    orthophoto has data; `covariance` (3, 3) m^2 is the reference's own absolute accuracy, east-north-up. `dsm_pixel_m`
+    is infinite where heights come from no raster: all are NaN then, or one constant above the datum. `notes` are
+    sentences about how the files were read, one line each.
     """
 
     frame: EnuFrame
@@ -299,6 +301,17 @@ class Reference:
     covariance: Array
     dsm_pixel_m: float
     crs: str = "EPSG:4326"  # of the orthophoto, for products
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def has_heights(self) -> bool:
+        """Whether any height is known."""
+        return bool(np.isfinite(self.height).any())
+
+    @property
+    def has_relief(self) -> bool:
+        """Whether heights come from an elevation model, and not from one number or nothing."""
+        return self.has_heights and bool(np.isfinite(self.dsm_pixel_m))
 
 
 @dataclass(frozen=True)

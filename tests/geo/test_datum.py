@@ -14,7 +14,8 @@ from pyproj.datadir import get_data_dir, get_user_data_dir
 
 from skymoor.errors import InputError
 from skymoor.geo import ellipsoidal_heights, vertical_datum_of
-from skymoor.geo.datum import horizontal_part, same_vertical_datum
+from skymoor.geo.datum import horizontal_part, same_vertical_datum, unit_of_datum, vertical_unit_of
+from support.geoid import write_constant_geoid
 
 
 def test_ellipsoid_changes_nothing() -> None:
@@ -41,7 +42,7 @@ def test_missing_grid_is_named(datum: str, place: tuple[float, float], file: str
     message = str(caught.value)
     assert datum in message
     assert file in message
-    assert "pyproj sync --file" in message
+    assert "`skymoor grids fetch us_n" in message
     assert "\n" not in message
 
 
@@ -55,17 +56,6 @@ def test_datum_without_a_way_at_the_site() -> None:
 def test_what_is_no_vertical_datum(datum: str) -> None:
     with pytest.raises(InputError, match=r"reference\.vertical_datum"):
         ellipsoidal_heights(47.0, 8.3, 400.0, datum)
-
-
-def write_constant_geoid(path: Path, undulation_m: float) -> None:
-    """A grid in PROJ's GeoTIFF form that covers 0 to 20 degrees east, 40 to 60 degrees north."""
-    profile = {"driver": "GTiff", "width": 21, "height": 21, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
-    transform = rasterio.Affine(1.0, 0.0, -0.5, 0.0, -1.0, 60.5)
-    with rasterio.open(path, "w", transform=transform, **profile) as grid:
-        grid.write(np.full((1, 21, 21), undulation_m, dtype=np.float32))
-        grid.update_tags(AREA_OR_POINT="Point", TYPE="VERTICAL_OFFSET_GEOGRAPHIC_TO_VERTICAL")
-        grid.set_band_description(1, "geoid_undulation")
-        grid.units = ("metre",)
 
 
 SCRIPT = """
@@ -122,3 +112,11 @@ def test_same_vertical_datum() -> None:
     assert same_vertical_datum("ellipsoid", "EPSG:4979")
     assert not same_vertical_datum("ellipsoid", "EPSG:3855")
     assert not same_vertical_datum("EPSG:5703", "EPSG:6360")  # metres and feet
+
+
+def test_units_of_vertical_crs() -> None:
+    foot = 1200 / 3937
+    for datum, unit in (("ellipsoid", 1.0), ("EPSG:5703", 1.0), ("EPSG:6360", foot), ("EPSG:8228", 0.3048)):
+        assert unit_of_datum(datum) == pytest.approx(unit, rel=1e-12)
+    for crs, known in (("EPSG:32632", None), ("EPSG:4979", 1.0), ("EPSG:4326+6360", foot), ("EPSG:7415", 1.0)):
+        assert vertical_unit_of(crs) == (None if known is None else pytest.approx(known, rel=1e-12))

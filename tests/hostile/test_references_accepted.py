@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import skymoor.reference.raster
-import skymoor.reference.read
+import skymoor.reference.heights
 from support.map_scene import (
     DSM_M,
     ORTHO_M,
@@ -181,7 +181,7 @@ def test_a_source_hundreds_of_times_finer_is_thinned_in_bounded_pieces(
         reads.append(found.size)
         return found
 
-    monkeypatch.setattr(skymoor.reference.read, "read_heights", counted)
+    monkeypatch.setattr(skymoor.reference.heights, "read_heights", counted)
     thinned = read(ortho, dsm, pixel_m=4.0)
     assert max(reads) < 1_300_000  # of the 4.8 million that the file holds
     monkeypatch.setattr("skymoor.reference.resample.SAMPLES", 10**6)

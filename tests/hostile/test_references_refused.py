@@ -115,8 +115,8 @@ def tie_points(site: Path) -> None:
 PIXEL = np.full((3, 1, 1), 99, np.uint8)
 CASES = [
     Case("ortho of one pixel", raster("ortho.tif", PIXEL), ("ortho.tif", "only 0.5 m by 0.5 m")),
-    Case("dsm of one pixel", raster("dsm.tif", FLAT[:, :1, :1]), ("ortho.tif", "overlap with the DSM is only")),
-    Case("dsm of one row", raster("dsm.tif", FLAT[:, :1]), ("overlap with the DSM is only 40.0 m by 0.5 m",)),
+    Case("dsm of one pixel", raster("dsm.tif", FLAT[:, :1, :1]), ("ortho.tif", "the area of the reference is only")),
+    Case("dsm of one row", raster("dsm.tif", FLAT[:, :1]), ("the area of the reference is only 40.0 m by 0.5 m",)),
     Case("dsm of nan", raster("dsm.tif", FLAT * np.nan), ("dsm.tif", "no valid height")),
     Case("dsm of inf", raster("dsm.tif", FLAT * np.inf), ("dsm.tif", "no valid height")),
     Case("dsm of nodata", raster("dsm.tif", FLAT * 0 - 9999, nodata=-9999), ("dsm.tif", "no valid height", "-9999")),
@@ -128,7 +128,7 @@ CASES = [
     Case("one file for both", toml('"dsm.tif"', '"ortho.tif"'), ("ortho.tif", "give two files")),
     Case("scale of zero", said("dsm.tif", scales=(0.0,)), ("dsm.tif", "scale 0")),
     Case("scale of nan", said("dsm.tif", scales=(np.nan,)), ("dsm.tif", "scale nan")),
-    Case("heights in feet", said("dsm.tif", units=("feet",)), ("dsm.tif", "feet", "convert")),
+    Case("heights in furlongs", said("dsm.tif", units=("furlong",)), ("dsm.tif", "furlong", "gdal_edit -units")),
     Case("ten gigapixels twice", giants, ("100000 by 100000", "gdal_translate -projwin")),
     Case("one tile of 900 megapixels", one_piece, ("ortho.tif", "in one block of 900 MB", "TILED=YES")),
     Case(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skymoor.errors import InputError
-from skymoor.geo import ce90_m, le90_m
+from skymoor.geo import UNKNOWN_HEIGHT_SIGMA_M, ce90_m, le90_m
 from skymoor.pipeline.site import load_site, site_from_arguments
 
 GOOD = """
@@ -28,6 +28,9 @@ images = "walk 2"
 [options.model]
 pixel_m = 0.2
 """
+
+
+STATED = "covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]"
 
 
 @pytest.fixture
@@ -61,7 +64,7 @@ def test_reads_everything_relative_to_its_folder(site: Path) -> None:
 
 
 def test_ce90_le90_become_the_covariance_with_these_figures(site: Path) -> None:
-    change(site, "covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]", "ce90 = 2\nle90 = 3.8")
+    change(site, STATED, "ce90 = 2\nle90 = 3.8")
     covariance = load_site(site).reference.covariance
     assert ce90_m(covariance) == pytest.approx(2.0)
     assert le90_m(covariance) == pytest.approx(3.8)
@@ -71,6 +74,31 @@ def test_command_line_overrules_the_file(site: Path) -> None:
     loaded = load_site(site, vertical_datum="ellipsoid", ce90=5.0, le90=6.0)
     assert loaded.reference.vertical_datum == "ellipsoid"
     assert ce90_m(loaded.reference.covariance) == pytest.approx(5.0)
+
+
+def test_one_height_in_place_of_a_dsm(site: Path) -> None:
+    for written, height in (("120", 120.0), ("-3.5", -3.5), ("0", 0.0)):
+        change(site, '"reference/dsm.tif"', written)
+        assert load_site(site).reference.dsm == height
+        change(site, f"dsm = {written}\n", 'dsm = "reference/dsm.tif"\n')
+    change(site, '"reference/dsm.tif"', "120.0")
+    change(site, STATED, "ce90 = 2")
+    with pytest.raises(InputError, match="le90 missing"):
+        load_site(site)
+
+
+def test_without_a_dsm_neither_datum_nor_le90_are_needed(site: Path) -> None:
+    change(site, 'dsm = "reference/dsm.tif"', "")
+    assert load_site(site).reference.vertical_datum == "EPSG:3855"  # it is not used
+    change(site, 'vertical_datum = "EPSG:3855"', "")
+    change(site, STATED, "ce90 = 2")
+    loaded = load_site(site)
+    assert loaded.reference.dsm is None and loaded.reference.vertical_datum is None
+    assert ce90_m(loaded.reference.covariance) == pytest.approx(2.0)
+    assert np.sqrt(loaded.reference.covariance[2, 2]) == pytest.approx(UNKNOWN_HEIGHT_SIGMA_M)
+    change(site, "ce90 = 2", "le90 = 2")
+    with pytest.raises(InputError, match="ce90 missing"):
+        load_site(site)
 
 
 def test_datum_and_name_may_be_missing(site: Path) -> None:
@@ -89,8 +117,11 @@ def test_datum_and_name_may_be_missing(site: Path) -> None:
         ('images = "walk 1"', 'image = "walk 1"', r"image in \[ground\]; did you mean images"),
         ('[[ground]]\nimages = "walk 1"\n[[ground]]', "[ground]", "double brackets"),
         ('"reference/dsm.tif"', '"reference/none.tif"', r"reference\.dsm: there is no file .*none\.tif"),
-        ('dsm = "reference/dsm.tif"', "", r"dsm is missing in \[reference\]"),
-        ('"reference/dsm.tif"', "3", r"reference\.dsm = 3 must be text"),
+        ('ortho = "reference/ortho.tif"', "", r"ortho is missing in \[reference\]"),
+        ('dsm = "reference/dsm.tif"', 'dms = "reference/dsm.tif"', r"dms in \[reference\]; did you mean dsm"),
+        ('"reference/dsm.tif"', "true", r"reference\.dsm = True must be a file in quotes, or a height in metres"),
+        ('"reference/dsm.tif"', "[3]", r"reference\.dsm = \[3\] must be a file in quotes, or a height in metres"),
+        ('"reference/dsm.tif"', "inf", r"reference\.dsm = inf must be a height in metres"),
         ('images = "airborne"', 'images = "air"', r"airborne\.images: there is no folder"),
         ('images = "airborne"', "", r"images is missing in \[airborne\]"),
         ("[0.1, 1.6, 0]", "[0.2, 1.6, 0]", "symmetric"),
@@ -98,10 +129,10 @@ def test_datum_and_name_may_be_missing(site: Path) -> None:
         ("[0.1, 1.6, 0], ", "", "covariance must be 3 rows"),
         ("[0.1, 1.6, 0]", '"x"', "covariance must be 3 rows"),
         ("covariance = ", "ce90 = 3\ncovariance = ", "keep one of them"),
-        ("covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]", "", "accuracy of the reference is not stated"),
-        ("covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]", "ce90 = 3", "le90 missing"),
-        ("covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]", "ce90 = 0\nle90 = 3", "above zero"),
-        ("covariance = [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]]", "ce90 = true\nle90 = 3", "number of metres"),
+        (STATED, "", "accuracy of the reference is not stated"),
+        (STATED, "ce90 = 3", "le90 missing"),
+        (STATED, "ce90 = 0\nle90 = 3", "above zero"),
+        (STATED, "ce90 = true\nle90 = 3", "number of metres"),
         ('name = "office park"', "name = office", "not valid TOML"),
         ("[options]", "[options]\n[options]", "not valid TOML"),
     ],
@@ -141,6 +172,8 @@ def test_site_from_arguments(site: Path) -> None:
     assert made.airborne == root / "airborne"
     assert made.ground == (root / "walk 1",)
     assert le90_m(made.reference.covariance) == pytest.approx(3.0)
+    assert site_from_arguments(root / "airborne", [], ortho, 120.0, "ellipsoid", 2.0, 3.0).reference.dsm == 120.0
+    assert site_from_arguments(root / "airborne", [], ortho, None, None, 2.0, None).reference.dsm is None
 
 
 def test_site_from_arguments_mistakes(site: Path) -> None:
@@ -148,6 +181,8 @@ def test_site_from_arguments_mistakes(site: Path) -> None:
     ortho, dsm = root / "reference/ortho.tif", root / "reference/dsm.tif"
     with pytest.raises(InputError, match=r"--dsm .*none\.tif"):
         site_from_arguments(root / "airborne", [], ortho, root / "none.tif", None, 2.0, 3.0)
+    with pytest.raises(InputError, match="--dsm nan: give a file, or the height"):
+        site_from_arguments(root / "airborne", [], ortho, float("nan"), None, 2.0, 3.0)
     with pytest.raises(InputError, match="no such folder"):
         site_from_arguments(root / "air", [], ortho, dsm, None, 2.0, 3.0)
     with pytest.raises(InputError, match="no images"):

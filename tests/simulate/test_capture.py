@@ -15,6 +15,7 @@ from skymoor.simulate.capture.aim import looking
 from skymoor.simulate.capture.footing import circuit_round, clear_views, free_places, ground_up, within_buildings
 from skymoor.simulate.capture.shots import STANDOFF_M, Shot, airborne_shots, ground_shots, security_shots, true_view
 from skymoor.simulate.capture.walks import walk_of
+from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.plan import dates_of, place_of
 from skymoor.simulate.world import World
 
@@ -50,6 +51,14 @@ def test_flights_keep_the_preset_s_standoff_and_look_down_steeply(make_world: Ma
     oblique = centres(shots)[~is_nadir(shots)]
     azimuths = np.sort(np.degrees(np.arctan2(oblique[:, 0], oblique[:, 1])))
     assert np.diff(azimuths, append=azimuths[0] + 360).max() < 2 * 360 / 24
+
+
+@pytest.mark.parametrize("radius_m", [45.0, 85.0])
+def test_nobody_flies_into_a_hill(radius_m: float) -> None:
+    for seed in range(4):
+        world = World(SiteOptions(preset="hillside", seed=seed, radius_m=radius_m))
+        eyes = centres(airborne_shots(world))
+        assert (eyes[:, 2] - ground_up(world, eyes[:, :2])).min() > 0.8 * 95 * radius_m / 85
 
 
 def test_one_lens_flies_and_its_middle_is_off(make_world: MakeWorld) -> None:

@@ -6,10 +6,12 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from functools import cache
+from typing import get_args
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from skymoor.simulate.mesh import Label, inside
 from skymoor.simulate.options import Preset, SiteOptions
@@ -17,7 +19,7 @@ from skymoor.simulate.place.ground import paint_ground
 from skymoor.simulate.place.land import make_land, terrain, water
 from skymoor.simulate.place.layout import Plan, make_plan
 
-PRESETS: tuple[Preset, ...] = ("office-park", "industrial", "flooded")
+PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 
 @cache
@@ -72,6 +74,63 @@ def test_twins_have_one_shape_and_one_look() -> None:
     assert all(building.repeated for building in plan.buildings)
     # Both are photographed: that is what they are for.
     assert len({b.looks for b in plan.buildings if b.name in plan.walked}) == 1
+
+
+@pytest.mark.parametrize(("radius_m", "relief_m"), [(45.0, (14.0, 18.0)), (85.0, (27.0, 33.0)), (200.0, (27.0, 33.0))])
+def test_hillsides_are_hilly_and_not_too_steep(radius_m: float, relief_m: tuple[float, float]) -> None:
+    reach = min(radius_m, 85.0)
+    side = np.linspace(-reach, reach, 91)
+    east, north = np.meshgrid(side, side)
+    within = np.hypot(east, north) <= reach
+    for seed in range(6):
+        up = make_land("hillside", seed, radius_m).height(east, north)
+        slope = np.hypot(*np.gradient(up, side, side))[within]
+        assert relief_m[0] < np.ptp(up[within]) < relief_m[1]
+        assert 0.16 < slope.max() < 0.26 and slope.mean() > 0.1
+
+
+def test_houses_on_a_hillside_stand_on_terraces() -> None:
+    plan = plan_of("hillside")
+    natural = replace(plan.land, terraces=())
+    drops = []
+    for building in (*plan.buildings, *plan.distractors):
+        e, n = building.outline_enu.T
+        np.testing.assert_allclose(plan.land.height(e, n), building.up - 0.1, atol=1e-9)
+        drops.append(np.ptp(natural.height(e, n)))
+    assert max(drops) > 2.0
+    # Away from the houses the ground is as it was.
+    e, n = np.random.default_rng(1).uniform(-250, 250, (2, 3000))
+    same = np.abs(plan.land.height(e, n) - natural.height(e, n)) < 1e-9
+    assert 0.7 < same.mean() < 1.0
+    assert float(plan.land.height(0.0, 0.0)) == pytest.approx(plan.land.height(np.zeros((1, 1)), 0.0)[0, 0])
+
+
+def canopy(plan: Plan) -> NDArray[np.bool_]:
+    """Where crowns are, as discs, in cells of 1 m within the radius."""
+    side = np.arange(-60.0, 60.0)
+    east, north = np.meshgrid(side, side)
+    covered = np.zeros(east.shape, bool)
+    for e, n, _, crown in plan.trees:
+        covered |= np.hypot(east - e, north - n) < crown
+    return covered
+
+
+def test_old_houses_stand_under_old_trees() -> None:
+    for seed in range(3):
+        plan = plan_of("old-houses", seed)
+        assert 0.3 < canopy(plan).mean() < 0.6
+        assert (plan.trees[:, 2] >= 12).all() and (plan.trees[:, 2] <= 20).all()
+        assert (plan.trees[:, 3] > 4).all() and (plan.trees[:, 3] <= 7).all()
+        outlines = [building.outline_enu.astype(np.float32) for building in plan.buildings]
+        over = [
+            any(
+                cv2.pointPolygonTest(outline, (float(e), float(n)), True) > 0.5 - crown for e, n, _, crown in plan.trees
+            )
+            for outline in outlines
+        ]
+        assert np.mean(over) > 0.3
+        assert all(b.roof in ("gable", "hip") and b.cover == "tiles" and b.storeys <= 2 for b in plan.buildings)
+    assert canopy(plan_of("office-park")).mean() < 0.15
 
 
 def test_the_pond_ends_where_the_land_rises() -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,12 +16,13 @@ from pyproj import Transformer
 
 from skymoor.geo import ce90_m, le90_m
 from skymoor.simulate.mesh import stream
-from skymoor.simulate.plan import PLACES_DEG, dates_of, place_of
+from skymoor.simulate.plan import PLACES_DEG, Season, dates_of, place_of
 from skymoor.simulate.satellite import (
     ACCURACY_M,
     MapSheet,
     SimulatedReference,
     _blunders,
+    _in_leaf,
     covariance_of,
     draw_bias,
     make_reference,
@@ -182,6 +184,15 @@ def test_seen_from_the_side_roofs_lean_and_the_ground_does_not(make_world: MakeW
     u, v = px_of(world, sheet, np.array([[-2.0, -14.0]]))[0].astype(int)
     score = cv2.matchTemplate(b[v - 20 : v + 20, u - 20 : u + 20], a[v - 7 : v + 7, u - 7 : u + 7], 5)
     assert cv2.minMaxLoc(score)[3] == (13, 13)
+
+
+def test_large_trees_are_in_leaf_in_the_surface_model(make_world: MakeWorld) -> None:
+    cases: tuple[tuple[str, Season], ...] = (("old-houses", "summer"), ("office-park", "winter"))
+    for preset, shown in cases:
+        worlds = (make_world(preset=preset, seed=seed) for seed in range(20))
+        world = next(w for w in worlds if dates_of(w.options).satellite.season == "winter")
+        date = dates_of(world.options).satellite
+        assert _in_leaf(world, world.scene(date)) is world.scene(replace(date, season=shown))
 
 
 def test_holes_lie_in_the_shadow(world: World, reference: SimulatedReference) -> None:

@@ -32,7 +32,7 @@ class Run:
     """
 
     site: Annotated[Path | None, tyro.conf.Positional] = None
-    """site.toml; or give --airborne, --ortho and --dsm."""
+    """site.toml; or give --airborne, --ortho and, where there is one, --dsm."""
     out: Path
     """Folder for the results; the same command again continues where it stopped."""
     airborne: Path | None = None
@@ -41,14 +41,14 @@ class Run:
     """Folder of ground photos; may be repeated."""
     ortho: Path | None = None
     """Satellite orthophoto, any CRS that GDAL reads."""
-    dsm: Path | None = None
-    """Its digital surface model (DSM), heights in metres."""
+    dsm: float | Path | None = None
+    """Its digital surface model (DSM), or one height of the ground in metres; without it heights stay unknown."""
     vertical_datum: str | None = None
-    """Vertical datum of the DSM: "ellipsoid" or an EPSG code such as "EPSG:3855"."""
+    """Vertical datum of these heights: "ellipsoid" or an EPSG code such as "EPSG:3855"."""
     ce90: float | None = None
     """Circular error of the reference, 90 percent, metres."""
     le90: float | None = None
-    """Linear (vertical) error of the reference, 90 percent, metres."""
+    """Linear (vertical) error of the reference, 90 percent, metres; not needed without heights."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """An option by its dotted name, for example --set match.max_height_m=150; may be repeated."""
     require_heights: bool = False
@@ -173,6 +173,37 @@ class Completion:
 
 
 @dataclass(frozen=True)
+class GridsList:
+    """List the grids of common datums, and which are installed; downloads nothing."""
+
+    json: bool = False
+    """For scripts: as JSON on stdout."""
+
+
+@dataclass(frozen=True)
+class GridsFetch:
+    """Download a grid from PROJ's server and check it.
+
+    For example: skymoor grids fetch us_nga_egm08_25.tif, or skymoor grids fetch EPSG:3855
+    """
+
+    name: Annotated[str, tyro.conf.Positional]
+    """File of the grid, or EPSG code of a datum that has one grid."""
+    quiet: bool = False
+    """Plain lines in place of progress bars."""
+
+
+@dataclass(frozen=True)
+class Grids:
+    """Grids of geoids and datum shifts, which PROJ needs for some references; runs download nothing."""
+
+    action: (
+        Annotated[GridsList, tyro.conf.subcommand("list", prefix_name=False)]
+        | Annotated[GridsFetch, tyro.conf.subcommand("fetch", prefix_name=False)]
+    )
+
+
+@dataclass(frozen=True)
 class WeightsList:
     """List pretrained weights, their licences, and which are installed."""
 
@@ -197,7 +228,7 @@ class WeightsFetch:
 
 @dataclass(frozen=True)
 class Weights:
-    """Pretrained weights of optional engines; nothing is downloaded by any other command."""
+    """Pretrained weights of optional engines; runs download nothing."""
 
     action: (
         Annotated[WeightsList, tyro.conf.subcommand("list", prefix_name=False)]

@@ -11,6 +11,8 @@ from skymoor.cli.arguments import (
     Doctor,
     Evaluate,
     Export,
+    Grids,
+    GridsFetch,
     Report,
     Run,
     Simulate,
@@ -172,6 +174,23 @@ def weights(command: Weights) -> None:
             screen.note(f"{file.path}: {'was here' if file.was_there else 'fetched'}{digest}")
         if wanted.to is not None and wanted.to != weights_folder():
             screen.note(f"engines find it there if SKYMOOR_WEIGHTS={wanted.to}")
+
+
+def grids(command: Grids) -> None:
+    """`skymoor grids list` and `skymoor grids fetch`."""
+    from skymoor.cli.tables import grids_table
+    from skymoor.engines.proj_grids import COMMON, fetch_grid, grids_of, user_folder
+
+    if not isinstance(command.action, GridsFetch):
+        with Screen(plain=True, for_scripts=command.action.json) as screen:
+            known = [grids_of(code) for code in COMMON]
+            screen.show(grids_table(known, user_folder()))
+            screen.answer({"folder": user_folder(), "datums": known})
+        return
+    with Screen(plain=command.action.quiet) as screen:
+        file = fetch_grid(command.action.name, lambda name: screen.track(f"{name}, MB"))
+        digest = "" if file.sha256 is None else f", sha256 {file.sha256}"
+        screen.note(f"{file.path}: {'was here' if file.was_there else 'fetched'}{digest}")
 
 
 def doctor(command: Doctor) -> bool:

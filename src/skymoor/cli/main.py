@@ -21,6 +21,7 @@ from skymoor.cli.arguments import (
     Doctor,
     Evaluate,
     Export,
+    Grids,
     Report,
     Run,
     Schema,
@@ -46,6 +47,7 @@ COMMANDS = {
     "simulate": Simulate,
     "demo": Demo,
     "weights": Weights,
+    "grids": Grids,
     "doctor": Doctor,
     "schema": Schema,
     "completion": Completion,
@@ -118,6 +120,8 @@ def _done(chosen: Any) -> int:
         commands.simulate(chosen)
     elif isinstance(chosen, Weights):
         commands.weights(chosen)
+    elif isinstance(chosen, Grids):
+        commands.grids(chosen)
     elif isinstance(chosen, Doctor):
         return EXIT_REGISTERED if commands.doctor(chosen) else EXIT_ERROR
     else:

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from skymoor.cli.doctor import Check
+from skymoor.engines.proj_grids import DatumGrids
 from skymoor.engines.weights import Weights
 from skymoor.evaluate import EvaluationRow
 from skymoor.pipeline.estimate import Step
@@ -146,6 +147,18 @@ def weights_table(known: Sequence[Weights], folder: Path) -> Table:
             "-" if not digests else "known: checked" if all(digests) else "not known: printed after the fetch",
             one.note,
         )
+    return table
+
+
+def grids_table(known: Sequence[DatumGrids], folder: Path) -> Table:
+    """One line for each grid of a datum."""
+    table = Table(title=Text(f"grids of common datums, of which a reference needs one; PROJ finds them in {folder}"))
+    for heading in ("datum", "name", "grid", "here", "valid in"):
+        table.add_column(heading, overflow="fold", no_wrap=heading in ("datum", "grid"))
+    for datum in known:
+        for k, (grid, area) in enumerate(datum.grids):
+            code, name = (datum.code, datum.name) if k == 0 else ("", "")
+            table.add_row(code, Text(name), grid, "yes" if grid in datum.here else "no", Text(area))
     return table
 
 

@@ -15,6 +15,8 @@ PROBABILITY = 0.9
 # CE90 of a circular error and LE90, in standard deviations.
 CE90_PER_SIGMA = float(np.sqrt(-2.0 * np.log(1.0 - PROBABILITY)))
 LE90_PER_SIGMA = 1.6448536269514722  # quantile of the normal distribution at (1 + PROBABILITY) / 2
+# Standard deviation of heights about which nothing is known: land is between -430 and 8850 m.
+UNKNOWN_HEIGHT_SIGMA_M = 5000.0
 
 
 def covariance_from_ce90_le90(ce90_m: float, le90_m: float) -> Array:

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import TransformerGroup
 
 from skymoor.errors import InputError
+from skymoor.geo.operations import EXACT, Operation, missing_grids, operation_of, operations_between
 
 Array = NDArray[np.float64]
 
@@ -31,6 +31,14 @@ Heights = Callable[[ArrayLike, ArrayLike, ArrayLike], Array]
 """Ellipsoidal heights (n,) in metres at latitudes, longitudes (degrees) and heights of some datum, each (n,)."""
 
 
+@dataclass(frozen=True)
+class ToEllipsoid:
+    """The conversion of one datum's heights at one site, and how accurate it is."""
+
+    heights: Heights
+    operation: Operation = EXACT
+
+
 def ellipsoidal_heights(lat: ArrayLike, lon: ArrayLike, height: ArrayLike, vertical_datum: str) -> Array:
     """Heights (n,) in metres above the WGS 84 ellipsoid of heights (n,) in a vertical datum, at WGS 84 degrees (n,).
 
@@ -38,15 +46,16 @@ def ellipsoidal_heights(lat: ArrayLike, lon: ArrayLike, height: ArrayLike, verti
     NaN heights stay NaN. Raises `InputError` when the datum is unknown, when every transformation of PROJ needs a geoid
     grid that is not installed (the message names the file), or when the grid does not cover a position.
     """
-    return ellipsoid_from_datum(vertical_datum, lat, lon)(lat, lon, height)
+    return ellipsoid_from_datum(vertical_datum, lat, lon).heights(lat, lon, height)
 
 
-def ellipsoid_from_datum(vertical_datum: str, lat: ArrayLike, lon: ArrayLike) -> Heights:
+def ellipsoid_from_datum(vertical_datum: str, lat: ArrayLike, lon: ArrayLike) -> ToEllipsoid:
     """`ellipsoidal_heights` for a site: one transformation of PROJ for the area of the positions (n,) in degrees."""
     crs = _vertical_crs(vertical_datum)
     if crs is None:
-        return lambda lat, lon, height: np.array(_broadcast(lat, lon, height)[2])
-    transformer = _transformer(crs, vertical_datum, np.asarray(lat, np.float64), np.asarray(lon, np.float64))
+        return ToEllipsoid(lambda lat, lon, height: np.array(_broadcast(lat, lon, height)[2]))
+    group = _operations(crs, vertical_datum, np.asarray(lat, np.float64), np.asarray(lon, np.float64))
+    transformer = group.transformers[0]
 
     def heights(lat: ArrayLike, lon: ArrayLike, height: ArrayLike) -> Array:
         lats, lons, own = _broadcast(lat, lon, height)
@@ -59,7 +68,7 @@ def ellipsoid_from_datum(vertical_datum: str, lat: ArrayLike, lon: ArrayLike) ->
             )
         return np.where(known, converted, np.nan)
 
-    return heights
+    return ToEllipsoid(heights, operation_of(transformer, group.unavailable_operations, "vertical"))
 
 
 def datum_from_ellipsoid(lat: ArrayLike, lon: ArrayLike, height: ArrayLike, vertical_datum: str) -> Array:
@@ -68,7 +77,8 @@ def datum_from_ellipsoid(lat: ArrayLike, lon: ArrayLike, height: ArrayLike, vert
     lats, lons, own = _broadcast(lat, lon, height)
     if crs is None:
         return np.array(own)
-    converted = _transformer(crs, vertical_datum, lats, lons).transform(lons, lats, own, direction="INVERSE")[2]
+    transformer: Transformer = _operations(crs, vertical_datum, lats, lons).transformers[0]
+    converted = transformer.transform(lons, lats, own, direction="INVERSE")[2]
     if not np.isfinite(converted).all():
         raise InputError(
             f"vertical datum {vertical_datum} ({crs.name}): its geoid grid does not cover the site; "
@@ -92,6 +102,20 @@ def vertical_datum_of(crs: Any) -> str | None:
 def same_vertical_datum(a: str, b: str) -> bool:
     """Whether two vertical datums, as accepted by `ellipsoidal_heights`, are the same."""
     return _vertical_crs(a) == _vertical_crs(b)
+
+
+def unit_of_datum(vertical_datum: str) -> float:
+    """Metres in the unit of a vertical datum, as accepted by `ellipsoidal_heights`; 1 for the ellipsoid."""
+    crs = _vertical_crs(vertical_datum)
+    return 1.0 if crs is None else float(crs.axis_info[0].unit_conversion_factor)
+
+
+def vertical_unit_of(crs: Any) -> float | None:
+    """Metres in the unit of the heights that a compound or 3D CRS states; None for a two-dimensional one."""
+    whole = CRS.from_user_input(crs)
+    if vertical_datum_of(whole) is None:
+        return None
+    return float(whole.axis_info[-1].unit_conversion_factor)
 
 
 def horizontal_part(crs: Any) -> CRS:
@@ -127,29 +151,19 @@ def _vertical_crs(vertical_datum: str) -> CRS | None:
     return None if inner == ELLIPSOID else CRS.from_user_input(inner)
 
 
-def _transformer(vertical: CRS, vertical_datum: str, lat: Array, lon: Array) -> Transformer:
-    """PROJ's best installed transformation from the datum to the ellipsoid; `InputError` with the missing grid."""
+def _operations(vertical: CRS, vertical_datum: str, lat: Array, lon: Array) -> TransformerGroup:
+    """PROJ's transformations from the datum to the ellipsoid, the best installed one first; at least one.
+
+    Raises `InputError`, with the grid that is missing, where none is installed.
+    """
     area = AreaOfInterest(float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max()))
-    with warnings.catch_warnings():
-        # pyproj warns that a better grid exists somewhere; which ones are missing is reported below, as an error.
-        warnings.simplefilter("ignore")
-        try:
-            # Without ballpark operations: those pass heights through unchanged where no geoid grid is installed.
-            group = TransformerGroup(
-                CompoundCRS("site", [CRS("EPSG:4326"), vertical]),
-                CRS("EPSG:4979"),
-                always_xy=True,
-                area_of_interest=area,  # type: ignore[arg-type]
-                allow_ballpark=False,
-            )
-        except ProjError as error:
-            raise InputError(f"vertical datum {vertical_datum} ({vertical.name}) cannot be used: {error}") from None
+    try:
+        group = operations_between(CompoundCRS("site", [CRS("EPSG:4326"), vertical]), CRS("EPSG:4979"), area)
+    except ProjError as error:
+        raise InputError(f"vertical datum {vertical_datum} ({vertical.name}) cannot be used: {error}") from None
     if group.transformers:
-        return group.transformers[0]
-    missing = [[grid for grid in operation.grids if not grid.available] for operation in group.unavailable_operations]
-    # Transformations that need one file come first, and of those the ones that PROJ offers for download.
-    missing.sort(key=lambda grids: (len(grids) > 1, not all(grid.url for grid in grids)))
-    files = list(dict.fromkeys(grids[0].short_name for grids in missing if grids))
+        return group
+    files = missing_grids(group)
     if not files:
         raise InputError(
             f"vertical datum {vertical_datum} ({vertical.name}): PROJ has no transformation from it to "
@@ -158,5 +172,5 @@ def _transformer(vertical: CRS, vertical_datum: str, lat: Array, lon: Array) -> 
     others = f" (or one of {', '.join(files[1:5])})" if len(files) > 1 else ""
     raise InputError(
         f"vertical datum {vertical_datum} ({vertical.name}) needs the geoid grid {files[0]}{others}, which is not "
-        f"installed: run `pyproj sync --file {Path(files[0]).stem}`, or put the file into {get_user_data_dir()}"
+        f"installed: run `skymoor grids fetch {files[0]}`, or put the file into {get_user_data_dir()}"
     )

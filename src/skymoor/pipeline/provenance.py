@@ -19,19 +19,20 @@ LARGEST_HASHED_BYTES = 4e9  # half a minute of reading; beyond, size must do
 
 
 def provenance(
-    reference: tuple[Path, Path], photos: Mapping[str, Photos], weights: Sequence[Path], store: Store
+    reference: tuple[Path, Path | float | None], photos: Mapping[str, Photos], weights: Sequence[Path], store: Store
 ) -> dict[str, Any]:
     """For the summary: who asks years later which files and programs made these positions finds it there.
 
     Args:
-        reference: its orthophoto and elevation model, hashed whole.
+        reference: its orthophoto and elevation model, hashed whole; or one height in metres, or None.
         photos: by the name of the set; hashed over names and bytes.
         weights: files and folders that the run's engines have read.
         store: knows what files hold.
     """
     ortho, dsm = reference
+    heights = _file(dsm, store) if isinstance(dsm, Path) else {"height_m": dsm}
     return {
-        "reference": {"ortho": _file(ortho, store), "dsm": _file(dsm, store)},
+        "reference": {"ortho": _file(ortho, store), "dsm": heights},
         "photos": {name: {"count": len(found), "sha256": digest(found.content)} for name, found in photos.items()},
         "weights": _weights(weights, store),
         "python": platform.python_version(),

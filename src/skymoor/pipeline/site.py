@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.errors import InputError
-from skymoor.geo import checked_covariance, covariance_from_ce90_le90
+from skymoor.geo import UNKNOWN_HEIGHT_SIGMA_M, checked_covariance, covariance_from_ce90_le90
+from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.pipeline.option_parser import nearest, parse_option, with_options
 
 __all__ = ["ReferenceFiles", "Site", "load_site", "parse_option", "site_from_arguments", "with_options"]
@@ -27,11 +28,12 @@ STATE_ACCURACY = "the accuracy of the reference is not stated"
 class ReferenceFiles:
     """Orthophoto and DSM; `covariance` (3, 3) m^2 east-north-up is their absolute accuracy.
 
+    In place of a DSM there may be one height of the ground in metres, or None where heights are not known.
     `vertical_datum` is "ellipsoid", an EPSG code, or None where the user did not say.
     """
 
     ortho: Path
-    dsm: Path
+    dsm: Path | float | None
     vertical_datum: str | None
     covariance: Array
 
@@ -63,14 +65,15 @@ def load_site(
     root = path.resolve().parent
     reference = _table(table.get("reference"), where, "reference")
     _no_others(reference, ("ortho", "dsm", "vertical_datum", "covariance", "ce90", "le90"), where, "reference")
+    dsm = _heights(root, reference, where)
     if ce90 is not None or le90 is not None:
-        covariance = _from_ce90_le90(ce90, le90, "command line")
+        covariance = _from_ce90_le90(ce90, le90, "command line", heights=dsm is not None)
     else:
-        covariance = _covariance(reference, where)
+        covariance = _covariance(reference, where, heights=dsm is not None)
     datum = vertical_datum if vertical_datum is not None else reference.get("vertical_datum")
     files = ReferenceFiles(
         ortho=_existing(root, reference, "ortho", where, "reference"),
-        dsm=_existing(root, reference, "dsm", where, "reference"),
+        dsm=dsm,
         vertical_datum=None if datum is None else _text(datum, where, "reference.vertical_datum"),
         covariance=covariance,
     )
@@ -95,26 +98,29 @@ def site_from_arguments(
     airborne: Path | None,
     ground: Sequence[Path],
     ortho: Path,
-    dsm: Path,
+    dsm: Path | float | None,
     vertical_datum: str | None,
     ce90: float | None,
     le90: float | None,
 ) -> Site:
     """The site that the command line describes; its root is the folder that holds all the image folders.
 
-    Raises `InputError` when a file or folder is not there, no images are given, or the accuracy is not stated.
+    `dsm` is a file, one height in metres, or None, which needs no `le90`. Raises `InputError` when a file or folder is
+    not there, no images are given, or the accuracy is not stated.
     """
     folders = [folder for folder in (airborne, *ground) if folder is not None]
     if not folders:
         raise InputError("there are no images; give --airborne FOLDER")
     for path, flag in ((ortho, "--ortho"), (dsm, "--dsm")):
-        if not _is_there(path):
+        if isinstance(path, Path) and not _is_there(path):
             raise InputError(f"{flag} {path}: there is no such file")
+    if isinstance(dsm, float) and not np.isfinite(dsm):
+        raise InputError(f"--dsm {dsm}: give a file, or the height of the ground in metres")
     for folder in folders:
         if not _is_there(folder, folder=True):
             raise InputError(f"{folder}: there is no such folder of images")
     root = Path(os.path.commonpath([folder.resolve().parent for folder in folders]))
-    covariance = _from_ce90_le90(ce90, le90, "command line")
+    covariance = _from_ce90_le90(ce90, le90, "command line", heights=dsm is not None)
     return Site(root.name, root, ReferenceFiles(ortho, dsm, vertical_datum, covariance), airborne, tuple(ground))
 
 
@@ -181,6 +187,19 @@ def _existing(root: Path, table: Mapping[str, object], key: str, where: str, gro
     return path
 
 
+def _heights(root: Path, reference: Mapping[str, object], where: str) -> Path | float | None:
+    """The file of the DSM, one height in metres, or None where the key is missing."""
+    value = reference.get("dsm")
+    if value is None or isinstance(value, str):
+        return None if value is None else _existing(root, reference, "dsm", where, "reference")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{where}: reference.dsm = {value!r} must be a file in quotes, or a height in metres")
+    height = _number(value, where, "reference.dsm")
+    if not np.isfinite(height):
+        raise InputError(f"{where}: reference.dsm = {value!r} must be a height in metres")
+    return height
+
+
 def _images(root: Path, entry: object, where: str, group: str) -> Path:
     table = _table(entry, where, group)
     _no_others(table, ("images",), where, group)
@@ -192,7 +211,7 @@ def _images(root: Path, entry: object, where: str, group: str) -> Path:
     return folder
 
 
-def _covariance(reference: Mapping[str, object], where: str) -> Array:
+def _covariance(reference: Mapping[str, object], where: str, *, heights: bool) -> Array:
     has_figures = "ce90" in reference or "le90" in reference
     if "covariance" in reference and has_figures:
         raise InputError(f"{where}: [reference] has covariance and ce90/le90; keep one of them")
@@ -200,11 +219,14 @@ def _covariance(reference: Mapping[str, object], where: str) -> Array:
         figures = [
             _number(reference[key], where, f"reference.{key}") if key in reference else None for key in ("ce90", "le90")
         ]
-        return _from_ce90_le90(figures[0], figures[1], where)
+        return _from_ce90_le90(figures[0], figures[1], where, heights=heights)
     return checked_covariance(reference["covariance"], name=f"{where}: reference.covariance")  # type: ignore[arg-type]
 
 
-def _from_ce90_le90(ce90: float | None, le90: float | None, where: str) -> Array:
+def _from_ce90_le90(ce90: float | None, le90: float | None, where: str, *, heights: bool) -> Array:
+    """The covariance (3, 3); where there are no heights, `le90` may be missing, and does not count."""
+    if not heights:
+        le90 = LE90_PER_SIGMA * UNKNOWN_HEIGHT_SIGMA_M
     if ce90 is None or le90 is None:
         missing = " and ".join(name for name, value in (("ce90", ce90), ("le90", le90)) if value is None)
         remedy = "give --ce90 M --le90 M" if where == "command line" else "write ce90 = M and le90 = M in [reference]"

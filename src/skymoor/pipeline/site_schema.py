@@ -21,7 +21,10 @@ def site_schema() -> dict[str, Any]:
     row = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
     reference = {
         "ortho": {"type": "string", "description": "orthophoto, any CRS that GDAL reads"},
-        "dsm": {"type": "string", "description": "its surface model, heights in metres"},
+        "dsm": {
+            "type": ["string", "number"],
+            "description": "its surface model, or one height of the ground in metres; without it heights stay unknown",
+        },
         "vertical_datum": {"type": "string", "description": '"ellipsoid" or an EPSG code such as "EPSG:3855"'},
         "ce90": {**metres, "description": "circular error, 90 percent, metres"},
         "le90": {**metres, "description": "linear (vertical) error, 90 percent, metres"},
@@ -34,7 +37,7 @@ def site_schema() -> dict[str, Any]:
         **_table(
             {
                 "name": {"type": "string"},
-                "reference": _table(reference, required=["ortho", "dsm"]),
+                "reference": _table(reference, required=["ortho"]),
                 "airborne": images,
                 "ground": {"type": "array", "items": images},
                 "options": _options(Options()),

@@ -24,7 +24,7 @@ from rasterio.windows import Window
 
 from skymoor.errors import InputError
 from skymoor.geo import EnuFrame, vertical_datum_of
-from skymoor.geo.datum import horizontal_part
+from skymoor.geo.datum import horizontal_part, vertical_unit_of
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -50,7 +50,8 @@ def raster_files(*paths: Path) -> list[Path]:
 class MapRaster:
     """Georeference of a raster. Pixels (n, 2): u along columns, v along rows, first pixel centre at (0.5, 0.5).
 
-    `map_from_px` is GDAL's geotransform, `shape` is (rows, columns), `vertical_datum` is that of the CRS or None.
+    `map_from_px` is GDAL's geotransform, `shape` is (rows, columns), `vertical_datum` and `vertical_unit_m` are those
+    of the CRS or None.
     """
 
     path: Path
@@ -58,6 +59,7 @@ class MapRaster:
     vertical_datum: str | None
     map_from_px: Affine
     shape: tuple[int, int]
+    vertical_unit_m: float | None = None
 
     @classmethod
     def of(cls, path: Path) -> MapRaster:
@@ -75,7 +77,7 @@ class MapRaster:
             )
         try:
             crs = CRS.from_wkt(wkt)
-            raster = cls(path, horizontal_part(crs), vertical_datum_of(crs), transform, shape)
+            raster = cls(path, horizontal_part(crs), vertical_datum_of(crs), transform, shape, vertical_unit_of(crs))
             lon, lat = raster.lonlat_from_px([[shape[1] / 2, shape[0] / 2]])[0]
         except (CRSError, ProjError) as error:
             raise InputError(

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reference: a satellite orthophoto and its DSM, resampled to one north-up grid in local metres."""
+"""The reference: a satellite orthophoto and heights of the ground, resampled to one north-up grid in local metres."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -15,8 +14,9 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from skymoor.errors import InputError
-from skymoor.geo import EnuFrame, Grid, checked_covariance, sample
-from skymoor.geo.datum import Heights, ellipsoid_from_datum, same_vertical_datum
+from skymoor.geo import UNKNOWN_HEIGHT_SIGMA_M, EnuFrame, Grid, checked_covariance
+from skymoor.geo.operations import accuracy_note, horizontal_operation
+from skymoor.reference.heights import STATISTICS_PX, Dsm, Ground, NoHeights, OneHeight, agreed_datum
 from skymoor.reference.raster import (
     MapRaster,
     block_mean,
@@ -24,7 +24,6 @@ from skymoor.reference.raster import (
     has_palette,
     opened,
     read_colours,
-    read_heights,
     window_around,
 )
 from skymoor.reference.resample import SAMPLES, Cut, Lattice
@@ -38,16 +37,13 @@ TILE_PX = 1024
 WINDOW_PX = 2048
 # Pixels of one source in the overlap; they take ten minutes to read.
 LARGEST_OVERLAP_PX = 4e9
-# Heights on Earth, with a margin for geoid and towers; beyond are feet, centimetres or an undeclared nodata value.
-HEIGHT_RANGE_M = (-1000.0, 10000.0)
 MIN_SIDE_PX = 8
 STRETCH_PERCENT = (1.0, 99.0)
-STATISTICS_PX = 1000
 
 
 def read_reference(
     ortho: Path,
-    dsm: Path,
+    dsm: Path | float | None,
     vertical_datum: str | None,
     covariance: ArrayLike,
     *,
@@ -57,67 +53,42 @@ def read_reference(
 ) -> Reference:
     """Read an orthophoto and a DSM, each in any CRS, into one grid in the local frame at the centre of their overlap.
 
-    `vertical_datum` is the datum of the DSM's heights ("ellipsoid" or a vertical CRS such as "EPSG:3855"); None
-    takes it from the DSM's CRS. `covariance` (3, 3) is the reference's accuracy in m^2, east-north-up. The grid's
+    In place of a DSM there may be one height in metres, or None where nothing is known of heights; the grid then
+    covers the orthophoto. `vertical_datum` is the datum of the heights ("ellipsoid" or a vertical CRS such as
+    "EPSG:3855"); None takes it from the DSM's CRS. `covariance` (3, 3) is the reference's accuracy in m^2,
+    east-north-up; the errors of PROJ's transformations are added to it, and `Reference.notes` say so. The grid's
     pixel is the orthophoto's, or `pixel_m` if that is coarser, and larger if needed to stay below `max_pixels`. Sources
     are read tile by tile, so that memory depends on `max_pixels` and not on their size (docs/limits.md).
     Raises `InputError`, one line that names the file and the remedy, for every fault of the input.
     """
-    covariance = checked_covariance(covariance)
-    if Path(ortho).exists() and Path(dsm).exists() and Path(ortho).samefile(dsm):
-        raise InputError(f"{dsm}: is given both as the orthophoto and as its DSM; give two files")
-    maps = MapRaster.of(Path(ortho)), MapRaster.of(Path(dsm))
-    datum = _agreed_datum(maps[1], vertical_datum)
-    overlap = _overlap(*maps)
+    covariance, ortho = checked_covariance(covariance), Path(ortho)
+    colours = MapRaster.of(ortho)
+    height_m = float(dsm) if isinstance(dsm, int | float) else None
+    surface = None if dsm is None or isinstance(dsm, int | float) else _another(ortho, Path(dsm))
+    maps = [colours] if surface is None else [colours, surface]
     with ExitStack() as stack:
-        sources = stack.enter_context(opened(maps[0].path)), stack.enter_context(opened(maps[1].path))
-        _require_heights(sources[1], maps[1].path)
-        for raster in maps:
-            _require_readable_size(raster, overlap)
-        site = _Site.of(maps, overlap, sources[1], datum)
-        grid = site.grid(maps[0], overlap, max_pixels, pixel_m)
-        rgb, mask, height = _resampled(sources, maps, site, grid, progress)
+        ground: Ground
+        if surface is not None:
+            datum, outline = agreed_datum(surface, vertical_datum), _overlap(colours, surface)
+            _require_readable_size(maps, outline)
+            ground = Dsm.of(surface, stack.enter_context(opened(surface.path)), datum, outline)
+        else:
+            outline = colours.lonlat_from_px(colours.border_px())
+            _require_readable_size(maps, outline)
+            ground = NoHeights.beside(ortho) if height_m is None else OneHeight.of(height_m, vertical_datum, outline)
+        frame = _frame(outline, ground)
+        grid = _grid(frame, colours, outline, max_pixels, pixel_m)
+        source = stack.enter_context(opened(ortho))
+        rgb, mask, height = _resampled(source, maps, ground, frame, grid, progress)
     _require_data(maps, mask, np.isfinite(height))
-    sides = maps[1].pixel_sides_m(site.frame)
-    dsm_pixel_m = float(np.sqrt(abs(np.linalg.det(sides))))
-    return Reference(site.frame, grid, rgb, mask, height, covariance, dsm_pixel_m, maps[0].crs.to_wkt())
+    total, notes = _accuracy(covariance, maps, ground, frame)
+    return Reference(frame, grid, rgb, mask, height, total, ground.pixel_m(frame), colours.crs.to_wkt(), notes)
 
 
-def _resampled(
-    sources: tuple[DatasetReader, DatasetReader],
-    maps: tuple[MapRaster, MapRaster],
-    site: _Site,
-    grid: Grid,
-    progress: Progress,
-) -> tuple[Image, Mask, Array32]:
-    """Colours, where they are valid, and heights of the whole grid, tile by tile."""
-    stretch = _stretch(sources[0], maps[0])
-    rgb, mask = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
-    height = np.full(grid.shape, np.nan, np.float32)
-    tiles = list(_tiles(grid.shape, _tile_px(maps, site.frame, grid)))
-    for done, (rows, columns) in enumerate(tiles):
-        progress(done, len(tiles))
-        lattice = Lattice.of(grid, rows, columns, site.frame)
-        rgb[rows, columns], mask[rows, columns] = _colour_tile(sources[0], maps[0], lattice, stretch)
-        height[rows, columns] = _height_tile(sources[1], maps[1], lattice, site)
-    progress(len(tiles), len(tiles))
-    return rgb, mask, height
-
-
-def _agreed_datum(dsm: MapRaster, stated: str | None) -> str:
-    if stated is None and dsm.vertical_datum is None:
-        raise InputError(
-            f"{dsm.path}: nothing says which vertical datum its heights have; set reference.vertical_datum to "
-            '"ellipsoid" or to the EPSG code of a vertical CRS, such as "EPSG:3855"'
-        )
-    if stated is not None and dsm.vertical_datum is not None and not same_vertical_datum(stated, dsm.vertical_datum):
-        raise InputError(
-            f"{dsm.path}: its coordinate reference system says heights are {dsm.vertical_datum}, but "
-            f"reference.vertical_datum is {stated}; correct one of them"
-        )
-    datum = stated if dsm.vertical_datum is None else dsm.vertical_datum
-    assert datum is not None
-    return datum
+def _another(ortho: Path, dsm: Path) -> MapRaster:
+    if dsm.exists() and ortho.samefile(dsm):
+        raise InputError(f"{dsm}: is given both as the orthophoto and as its DSM; give two files")
+    return MapRaster.of(dsm)
 
 
 def _overlap(ortho: MapRaster, dsm: MapRaster) -> Array:
@@ -132,54 +103,69 @@ def _overlap(ortho: MapRaster, dsm: MapRaster) -> Array:
     return dsm.lonlat_from_px(dense.transpose(1, 0, 2).reshape(-1, 2))
 
 
-@dataclass(frozen=True, eq=False)
-class _Site:
-    """The local frame, and the conversion of the DSM's heights to metres in it."""
+def _frame(outline: Array, ground: Ground) -> EnuFrame:
+    """At the centre of the outline (n, 2), at the height of the ground there."""
+    start = EnuFrame(outline[0, 1], outline[0, 0], 0.0)
+    plan = start.enu_from_lla(outline[:, 1], outline[:, 0], 0.0)[:, :2]
+    middle = (plan.min(axis=0) + plan.max(axis=0)) / 2
+    lat, lon, _ = (float(value) for value in start.lla_from_enu([*middle, 0.0])[0])
+    return EnuFrame(lat, lon, ground.middle_m(lat, lon))
 
-    frame: EnuFrame
-    heights: Heights
-    dsm_unit_m: float
 
-    @classmethod
-    def of(cls, maps: tuple[MapRaster, MapRaster], overlap: Array, source: DatasetReader, datum: str) -> _Site:
-        """Frame at the centre of the overlap, at the median height there."""
-        start = EnuFrame(overlap[0, 1], overlap[0, 0], 0.0)
-        outline = start.enu_from_lla(overlap[:, 1], overlap[:, 0], 0.0)[:, :2]
-        middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
-        lat, lon, _ = (float(value) for value in start.lla_from_enu([*middle, 0.0])[0])
-        window = window_around(maps[1].px_from_lonlat(overlap), maps[1].shape, (1, 1))
-        assert window is not None  # the overlap is a part of the DSM
-        step = max(1, int(window.height) // STATISTICS_PX), max(1, int(window.width) // STATISTICS_PX)
-        heights = read_heights(source, window, step)
-        if not np.isfinite(heights).any():
-            raise InputError(
-                f"{maps[1].path}: no valid height where it overlaps the orthophoto (nodata is {source.nodata}); "
-                "check the file"
-            )
-        to_ellipsoid = ellipsoid_from_datum(datum, overlap[:, 1], overlap[:, 0])
-        at_zero, at_1000 = to_ellipsoid(lat, lon, [0.0, 1000.0])
-        unit = float(at_1000 - at_zero) / 1000.0
-        if str(source.units[0]).lower().startswith(("f", "us survey f")) and unit > 0.99:
-            raise InputError(
-                f"{maps[1].path}: its band has heights in {source.units[0]}, its vertical datum is in metres; "
-                "convert the heights, or state a vertical CRS in feet"
-            )
-        _require_plausible(maps[1].path, heights, unit)
-        return cls(EnuFrame(lat, lon, float(at_zero + unit * np.nanmedian(heights))), to_ellipsoid, unit)
+def _grid(frame: EnuFrame, ortho: MapRaster, outline: Array, max_pixels: float, pixel_m: float | None) -> Grid:
+    """North-up grid of the outline's bounding box."""
+    plan = frame.enu_from_lla(outline[:, 1], outline[:, 0], frame.height_m)[:, :2]
+    (west, south), (east, north) = plan.min(axis=0), plan.max(axis=0)
+    own = float(np.sqrt(abs(np.linalg.det(ortho.pixel_sides_m(frame)))))
+    pixel = max(own, pixel_m or 0.0, float(np.sqrt((east - west) * (north - south) / max_pixels)))
+    shape = round((north - south) / pixel), round((east - west) / pixel)
+    if min(shape) < MIN_SIDE_PX:
+        raise InputError(
+            f"{ortho.path}: the area of the reference is only {east - west:.1f} m by {north - south:.1f} m, "
+            f"{shape[1]} by {shape[0]} pixels; check the orthophoto and its overlap with the DSM"
+        )
+    return Grid(float(west), float(north), pixel, (int(shape[0]), int(shape[1])))
 
-    def grid(self, ortho: MapRaster, overlap: Array, max_pixels: float, pixel_m: float | None) -> Grid:
-        """North-up grid of the overlap's bounding box."""
-        outline = self.frame.enu_from_lla(overlap[:, 1], overlap[:, 0], self.frame.height_m)[:, :2]
-        (west, south), (east, north) = outline.min(axis=0), outline.max(axis=0)
-        own = float(np.sqrt(abs(np.linalg.det(ortho.pixel_sides_m(self.frame)))))
-        pixel = max(own, pixel_m or 0.0, float(np.sqrt((east - west) * (north - south) / max_pixels)))
-        shape = round((north - south) / pixel), round((east - west) / pixel)
-        if min(shape) < MIN_SIDE_PX:
-            raise InputError(
-                f"{ortho.path}: its overlap with the DSM is only {east - west:.1f} m by {north - south:.1f} m, "
-                f"{shape[1]} by {shape[0]} pixels; check both files"
-            )
-        return Grid(float(west), float(north), pixel, (int(shape[0]), int(shape[1])))
+
+def _resampled(
+    source: DatasetReader,
+    maps: Sequence[MapRaster],
+    ground: Ground,
+    frame: EnuFrame,
+    grid: Grid,
+    progress: Progress,
+) -> tuple[Image, Mask, Array32]:
+    """Colours, where they are valid, and heights of the whole grid, tile by tile."""
+    stretch = _stretch(source, maps[0])
+    rgb, mask = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
+    height = np.full(grid.shape, np.nan, np.float32)
+    tiles = list(_tiles(grid.shape, _tile_px(maps, frame, grid)))
+    for done, (rows, columns) in enumerate(tiles):
+        progress(done, len(tiles))
+        lattice = Lattice.of(grid, rows, columns, frame)
+        rgb[rows, columns], mask[rows, columns] = _colour_tile(source, maps[0], lattice, stretch)
+        height[rows, columns] = ground.tile(lattice)
+    progress(len(tiles), len(tiles))
+    return rgb, mask, height
+
+
+def _accuracy(
+    covariance: Array, maps: Sequence[MapRaster], ground: Ground, frame: EnuFrame
+) -> tuple[Array, tuple[str, ...]]:
+    """The covariance (3, 3) with the errors of PROJ's transformations, and all notes about the reference.
+
+    Of two rasters the less accurate transformation counts: colours and heights have to lie on each other.
+    """
+    different = [raster for k, raster in enumerate(maps) if raster.crs not in [other.crs for other in maps[:k]]]
+    plan = [(raster, horizontal_operation(raster.crs, frame.lon_deg, frame.lat_deg)) for raster in different]
+    notes = [accuracy_note(operation, str(raster.path)) for raster, operation in plan]
+    notes.append(accuracy_note(ground.to_ellipsoid.operation, "vertical datum"))
+    sigmas = [operation.sigma_m for _, operation in plan]
+    total = covariance + np.diag([max(sigmas) ** 2, max(sigmas) ** 2, ground.to_ellipsoid.operation.sigma_m**2])
+    if isinstance(ground, NoHeights):
+        total[2, :] = total[:, 2] = 0.0
+        total[2, 2] = UNKNOWN_HEIGHT_SIGMA_M**2
+    return total, (*ground.notes, *filter(None, notes))
 
 
 def _colour_tile(
@@ -201,21 +187,7 @@ def _colour_tile(
     return np.clip(np.rint(rgb), 0, 255).astype(np.uint8), mask
 
 
-def _height_tile(source: DatasetReader, raster: MapRaster, lattice: Lattice, site: _Site) -> Array32:
-    cut = Cut.of(raster, lattice)
-    if cut is None:
-        return np.full(lattice.shape, np.nan, np.float32)
-    heights = read_heights(source, cut.window, cut.thin)
-    _require_plausible(raster.path, heights, site.dsm_unit_m)
-    # OpenCV rounds its weights to 1/32 pixel, too coarse for heights.
-    own = sample(block_mean(heights, cut.step), np.column_stack([cut.u.ravel(), cut.v.ravel()]))
-    lat, lon, level = lattice.lla.T
-    # The geoid minus the height of the plane up = 0, which bends away from the ellipsoid, is smooth.
-    up_of_zero = lattice.spread(site.heights(lat, lon, np.zeros(len(lat))) - level)
-    return (own.reshape(lattice.shape) * site.dsm_unit_m + up_of_zero).astype(np.float32)
-
-
-def _tile_px(maps: tuple[MapRaster, MapRaster], frame: EnuFrame, grid: Grid) -> int:
+def _tile_px(maps: Sequence[MapRaster], frame: EnuFrame, grid: Grid) -> int:
     finest = min(float(np.linalg.norm(raster.pixel_sides_m(frame), axis=1).min()) for raster in maps)
     # A cut reads every pixel up to twice as many as it needs, and subsamples beyond.
     samples = min(grid.pixel_m / finest, 2.0 * SAMPLES)
@@ -242,38 +214,23 @@ def _stretch(source: DatasetReader, raster: MapRaster) -> Callable[[Array32], Ar
     return lambda colours: np.clip((colours - low) * gain, 0.0, 255.0).astype(np.float32)
 
 
-def _require_heights(source: DatasetReader, path: Path) -> None:
-    if source.count >= 3 and all(kind == "uint8" for kind in source.dtypes):
-        raise InputError(f"{path}: has {source.count} bands of 8 bits: an image, not heights; is it the orthophoto?")
-    scale, offset = source.scales[0], source.offsets[0]
-    if not (np.isfinite(scale) and np.isfinite(offset)) or scale == 0:
-        raise InputError(
-            f"{path}: its band has scale {scale:g} and offset {offset:g}; correct them (gdal_edit -scale -offset)"
-        )
+def _require_readable_size(maps: Sequence[MapRaster], outline: Array) -> None:
+    for raster in maps:
+        window = window_around(raster.px_from_lonlat(outline), raster.shape, (1, 1))
+        if window is not None and window.width * window.height > LARGEST_OVERLAP_PX:
+            raise InputError(
+                f"{raster.path}: {window.width} by {window.height} of its pixels are in the area of the reference, "
+                f"at most {LARGEST_OVERLAP_PX:g} are read; crop it to the site (gdal_translate -projwin)"
+            )
 
 
-def _require_readable_size(raster: MapRaster, overlap: Array) -> None:
-    window = window_around(raster.px_from_lonlat(overlap), raster.shape, (1, 1))
-    if window is not None and window.width * window.height > LARGEST_OVERLAP_PX:
-        raise InputError(
-            f"{raster.path}: {window.width} by {window.height} of its pixels are in the overlap of orthophoto and DSM, "
-            f"at most {LARGEST_OVERLAP_PX:g} are read; crop it to the site (gdal_translate -projwin)"
-        )
-
-
-def _require_plausible(path: Path, heights: Array, unit_m: float) -> None:
-    metres = heights[np.isfinite(heights)] * unit_m
-    impossible = metres[(metres < HEIGHT_RANGE_M[0]) | (metres > HEIGHT_RANGE_M[1])]
-    if impossible.size:
-        raise InputError(
-            f"{path}: {impossible.size} heights are impossible, such as {impossible[0] / unit_m:g}; declare that "
-            "nodata value (gdal_edit -a_nodata), or convert the heights to metres"
-        )
-
-
-def _require_data(maps: tuple[MapRaster, MapRaster], mask: Mask, known: Mask) -> None:
+def _require_data(maps: Sequence[MapRaster], mask: Mask, known: Mask) -> None:
     if not mask.any():
-        raise InputError(f"{maps[0].path}: no valid pixel where it overlaps the DSM; check its nodata value and mask")
+        raise InputError(
+            f"{maps[0].path}: no valid pixel in the area of the reference; check its nodata value and mask"
+        )
+    if len(maps) == 1:
+        return
     if not known.any():
         raise InputError(f"{maps[1].path}: no valid height where it overlaps the orthophoto; check its nodata value")
     if not (mask & known).any():

@@ -9,7 +9,7 @@ from typing import Literal
 
 from skymoor.errors import InputError
 
-Preset = Literal["office-park", "industrial", "flooded"]
+Preset = Literal["office-park", "industrial", "flooded", "hillside", "old-houses"]
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,8 @@ class SiteOptions:
     """A site is made from these alone: the same options give the same site.
 
     Attributes:
-        preset: the kind of site, after the three of the paper's results: A01, M07 and A08.
+        preset: the kind of site. The first three are after the sites of the paper's results: A01, M07 and A08;
+            hillside has hills of 30 m, old-houses has roofs under old trees.
         seed: of everything random; other seeds are other places.
         radius_m: of the part that is modelled in full; the rest is plainer.
         airborne: number of airborne photos.

@@ -4,7 +4,7 @@
 Nothing is downloaded unless `fetch` is called, which only the command `skymoor weights fetch` does.
 """
 
-from skymoor.engines.weights.fetch import Fetched, fetch
+from skymoor.engines.weights.fetch import fetch
 from skymoor.engines.weights.files import (
     another_network,
     files_in,
@@ -20,7 +20,6 @@ from skymoor.engines.weights.table import KNOWN, WeightFile, Weights, known
 
 __all__ = [
     "KNOWN",
-    "Fetched",
     "WeightFile",
     "Weights",
     "another_network",

@@ -3,35 +3,16 @@
 
 from __future__ import annotations
 
-import http.client
 import shutil
 import tempfile
-import urllib.error
-import urllib.request
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from skymoor.engines.download import PREFIX, Fetched, FileProgress, download
 from skymoor.engines.weights.files import sha256_of, verify
 from skymoor.engines.weights.table import WeightFile, known
 from skymoor.errors import BackendUnavailable, InputError
-
-FileProgress = Callable[[int, int], object]
-"""Called with the megabytes that are there and those in all."""
-
-TIMEOUT_S = 60.0
-CHUNK = 1 << 20
-PREFIX = ".skymoor-"
-
-
-@dataclass(frozen=True)
-class Fetched:
-    """A file or folder that is there now; the digest of a file, and whether it was there before."""
-
-    path: Path
-    sha256: str | None
-    was_there: bool
 
 
 def fetch(name: str, folder: Path, progress: Callable[[str], FileProgress]) -> list[Fetched]:
@@ -75,42 +56,9 @@ def _make_room(path: Path) -> None:
 
 
 def _fetch_file(file: WeightFile, path: Path, progress: FileProgress) -> None:
-    """Under another name in the same folder first, so that an interrupted fetch leaves no incomplete file."""
-    temporary = Path(tempfile.mkdtemp(prefix=PREFIX, dir=path.parent))
-    try:
-        part = temporary / path.name
-        _download(file, part, progress)
-        found = sha256_of(part)
-        if file.sha256 not in (None, found):
-            raise InputError(
-                f"{file.url}: not the file that skymoor knows (sha256 {found}, expected {file.sha256}); nothing is kept"
-            )
-        part.replace(path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _download(file: WeightFile, part: Path, progress: FileProgress) -> None:
     if urlsplit(file.url).scheme not in ("https", "file"):
         raise InputError(f"{file.url}: weights come from https or file addresses only")
-    try:
-        with urllib.request.urlopen(file.url, timeout=TIMEOUT_S) as source, part.open("wb") as target:
-            length = int(source.headers.get("Content-Length") or 0)
-            total = max(1, round((length or (file.size_mb or 0) * 1e6) / 1e6))
-            size = 0
-            while chunk := source.read(CHUNK):
-                target.write(chunk)
-                size += len(chunk)
-                progress(min(size // 1_000_000, total - 1), total)
-    except (urllib.error.URLError, http.client.HTTPException, OSError, ValueError) as error:
-        reason = getattr(error, "reason", None) or error
-        by_hand = part.parent.parent / part.name
-        raise InputError(
-            f"{file.url}: cannot be fetched ({reason}); try again, or put it by hand at {by_hand}"
-        ) from None
-    if length and size != length:
-        raise InputError(f"{file.url}: the download broke off after {size} of {length} bytes; try again")
-    progress(total, total)
+    download(file.url, path, sha256=file.sha256, size_mb=file.size_mb, progress=progress)
 
 
 def _fetch_folder(file: WeightFile, path: Path) -> None:

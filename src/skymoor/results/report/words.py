@@ -27,7 +27,7 @@ GLOSSARY = {
     "residual": "What remains between a match of the model and of the reference after the transform.",
     "contrast": "How far ground photos agree better with the walls at the hypothesis than a few metres aside.",
     "heights CONFIRMED": "The relief of the reference is the model's; a constant offset of all heights cannot be seen.",
-    "heights OFFSET_ONLY": "Heights hang on the reference's mean height: it is flat, too coarse, or shows too little relief.",
+    "heights OFFSET_ONLY": "Heights hang on the mean of a reference that is flat, too coarse, or without relief.",
     "heights NOT_CONFIRMED": "The reference has no heights, or such that contradict the photos: none is written.",
     "DSM": "Digital surface model: heights of the ground with buildings and trees.",
     "ellipsoidal height": "Height above the WGS 84 ellipsoid, tens of metres from the height above sea level.",

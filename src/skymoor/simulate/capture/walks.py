@@ -32,6 +32,7 @@ Mask = NDArray[np.bool_]
 DISTANCES_M = np.arange(8.0, 13.1, 0.5)  # from the wall
 LEADS_M = (-6.5, -3.0, 0.0, 0.0, 0.0, 3.0, 6.5)  # by which people look back or ahead along a wall
 POLES_M = np.arange(11.0, 17.1, 1.0)
+NEAR_POLES_M = np.arange(7.0, 10.6, 0.5)  # where trees leave no room farther away, or walls are small
 MOUNT_M = 0.35  # between a camera and the wall that it hangs on
 MOUNTS_M = (8.0, 30.0)  # between that wall and the one that it looks at
 BESIDE_M = 1.0  # between a pole and a wall
@@ -92,7 +93,19 @@ def watching(world: World, walk: Walk, lens: Intrinsics, rng: np.random.Generato
 
     `taken` are the centres (3,) of other cameras. Raises `InputError` when there is no room.
     """
-    poles = walk.circuit.places(POLES_M)[[place for place, _ in walk.stations]].reshape(-1, 2)
+    for poles_m in (POLES_M, NEAR_POLES_M):
+        found = _watching_from(world, walk, lens, rng, taken, poles_m)
+        if found is not None:
+            return found
+    raise InputError(
+        f"security = {world.options.security}: no more cameras have room round {walk.building.name}; ask for fewer"
+    )
+
+
+def _watching_from(
+    world: World, walk: Walk, lens: Intrinsics, rng: np.random.Generator, taken: list[Array], poles_m: Array
+) -> Similarity | None:
+    poles = walk.circuit.places(poles_m)[[place for place, _ in walk.stations]].reshape(-1, 2)
     poles = poles[~within_buildings(world, poles, margin_m=BESIDE_M)]
     mounts = _mounts(world, walk)
     plan = np.concatenate([poles, mounts])
@@ -107,9 +120,7 @@ def watching(world: World, walk: Walk, lens: Intrinsics, rng: np.random.Generato
     for other in taken:
         good &= np.linalg.norm(eyes - other, axis=1) > APART_M
     if not good.any():
-        raise InputError(
-            f"security = {world.options.security}: no more cameras have room round {walk.building.name}; ask for fewer"
-        )
+        return None
     first = int(np.argmax(good))
     return standing_at(eyes[first], rotations[first])
 

@@ -41,7 +41,7 @@ class Blocks:
     """What to draw from: lengths and widths in metres, shares of shapes, roofs and walls."""
 
     per_hectare: float
-    yard: Literal["parking", "concrete"]
+    yard: Literal["parking", "concrete"] | None
     length_m: tuple[float, float]
     width_m: tuple[float, float]
     storeys: tuple[int, int]
@@ -49,6 +49,7 @@ class Blocks:
     wings: float  # share of buildings with L, T or U outlines
     roofs: Mapping[Roof, float]
     walls: Mapping[Wall, float]
+    tiled: bool = False  # every pitched roof has tiles
 
     def draw(self, rng: np.random.Generator) -> Block:
         """One building."""
@@ -56,7 +57,7 @@ class Blocks:
         winged = rng.uniform() < self.wings
         roof = "flat" if winged else _pick(rng, self.roofs)
         wall = _pick(rng, self.walls)
-        cover: Cover = _cover(rng, roof, wall)
+        cover: Cover = "tiles" if self.tiled and roof != "flat" else _cover(rng, roof, wall)
         storeys = int(rng.integers(self.storeys[0], self.storeys[1] + 1))
         outline = _winged(rng, length, width) if winged else tuple(rectangle(length, width))
         looks = int(rng.integers(1 << 31))
@@ -96,6 +97,29 @@ BLOCKS: Mapping[Preset, Blocks] = {
         wings=0.25,
         roofs={"flat": 0.35, "gable": 0.35, "hip": 0.25, "shed": 0.05},
         walls={"brick": 0.4, "plaster": 0.35, "concrete": 0.15, "panels": 0.1},
+    ),
+    "hillside": Blocks(
+        per_hectare=7.5,
+        yard=None,
+        length_m=(10, 20),
+        width_m=(8, 12),
+        storeys=(1, 3),
+        storey_m=(2.8, 3.2),
+        wings=0.1,
+        roofs={"flat": 0.2, "gable": 0.45, "hip": 0.3, "shed": 0.05},
+        walls={"brick": 0.3, "plaster": 0.6, "concrete": 0.1},
+    ),
+    "old-houses": Blocks(
+        per_hectare=11.0,
+        yard=None,
+        length_m=(8, 13),
+        width_m=(7, 9.5),
+        storeys=(1, 2),
+        storey_m=(2.8, 3.2),
+        wings=0.0,
+        roofs={"gable": 0.6, "hip": 0.4},
+        walls={"brick": 0.6, "plaster": 0.4},
+        tiled=True,
     ),
 }
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The terrain: a slope, gentle hills, and the bed of a pond."""
+"""The terrain: a slope, hills, terraces, and the bed of a pond."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from numpy.typing import ArrayLike
 
 from skymoor.simulate.mesh import Label, Part, join, quads, stream
 from skymoor.simulate.options import Preset
+from skymoor.simulate.place.terraces import Terrace
 from skymoor.simulate.plan import Array
 
 FAR_M = 3500.0  # where the world ends, behind the haze
+HILLS_M, HILLS_RADIUS_M = 30.0, 85.0  # relief of a hillside within that radius; smaller sites have less, as steep
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class Land:
     slope: tuple[float, float]
     waves: tuple[tuple[float, float, float, float], ...]  # amplitude, wave numbers east and north, phase
     pond: Pond | None = None
+    terraces: tuple[Terrace, ...] = ()
 
     def height(self, east: ArrayLike, north: ArrayLike) -> Array:
         """Up of the ground or of the pond's bed."""
@@ -50,7 +53,7 @@ class Land:
         if self.pond is not None:
             share = self.pond.inside(e, n)
             up = up * (1 - share) + (self.pond.up - self.pond.depth_m) * share
-        return np.asarray(up)
+        return np.asarray(self._terraced(e, n, up) if self.terraces else up)
 
     def _dry(self, e: Array, n: Array) -> Array:
         up = self.slope[0] * e + self.slope[1] * n
@@ -59,6 +62,13 @@ class Land:
         for amplitude, across, along, phase in self.waves:
             up = up + amplitude * np.sin(across * e + along * n + phase)
         return np.asarray(up)
+
+    def _terraced(self, e: Array, n: Array, up: Array) -> Array:
+        east, north = (np.broadcast_to(side, up.shape).ravel() for side in (e, n))
+        level = up.ravel().copy()
+        for terrace in self.terraces:
+            terrace.apply(east, north, level)
+        return level.reshape(up.shape)
 
     @property
     def water_up(self) -> float | None:
@@ -73,7 +83,9 @@ class Land:
 def make_land(preset: Preset, seed: int, radius_m: float) -> Land:
     """The terrain of a site; zero height is about at its middle."""
     rng = stream(seed, "land")
-    steep = {"office-park": 0.025, "industrial": 0.012, "flooded": 0.003}[preset]
+    if preset == "hillside":
+        return _hills(rng, radius_m)
+    steep = {"office-park": 0.025, "industrial": 0.012, "flooded": 0.003, "old-houses": 0.02}[preset]
     turn = rng.uniform(0, 2 * np.pi)
     flat = 0.25 if preset == "flooded" else 1.0
     waves = []
@@ -92,6 +104,28 @@ def make_land(preset: Preset, seed: int, radius_m: float) -> Land:
     low = float(dry.height(rim * np.cos(around), rim * np.sin(around)).min())
     p, q, r = (float(x) for x in rng.uniform(0, 6.3, 3))
     return replace(dry, pond=Pond(radius, 1.7, low - 0.3, (p, q, r)))
+
+
+def _hills(rng: np.random.Generator, radius_m: float) -> Land:
+    """Two long waves that cross, the site on the flanks of both, and bumps.
+
+    Relief of 30 m within 85 m, and in proportion within a smaller radius: what is as steep is as hilly.
+    """
+    reach = min(radius_m, HILLS_RADIUS_M)
+    turn = rng.uniform(0, 2 * np.pi)
+    waves = []
+    for across in (0.0, np.pi / 2):
+        k = 2 * np.pi / (reach * rng.uniform(4.2, 5.2))
+        phase = float(rng.choice([0.0, np.pi]) + rng.uniform(-0.4, 0.4))
+        waves.append((1.0, float(k * np.cos(turn + across)), float(k * np.sin(turn + across)), phase))
+    side = np.linspace(-reach, reach, 61)
+    east, north = (x[np.hypot(*np.meshgrid(side, side)) <= reach] for x in np.meshgrid(side, side))
+    amplitude = HILLS_M * reach / HILLS_RADIUS_M / float(np.ptp(Land((0.0, 0.0), tuple(waves)).height(east, north)))
+    waves = [(amplitude, *wave[1:]) for wave in waves]
+    for length, bump in ((120.0, 0.3), (60.0, 0.12)):
+        direction, k = rng.uniform(0, 2 * np.pi), 2 * np.pi / (length * rng.uniform(0.8, 1.2))
+        waves.append((bump, float(k * np.cos(direction)), float(k * np.sin(direction)), float(rng.uniform(0, 6.3))))
+    return Land((0.0, 0.0), tuple(waves))
 
 
 def terrain(land: Land, radius_m: float, extent_m: float, near_page: int, far_page: int) -> Part:

@@ -10,13 +10,17 @@ import numpy as np
 from skymoor.simulate.mesh import rectangle, stream
 from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.place.blocks import BLOCKS, Block
+from skymoor.simulate.place.gardens import plant_old_trees
 from skymoor.simulate.place.land import Land, make_land
 from skymoor.simulate.place.occupied import Occupied, grown, placed
 from skymoor.simulate.place.outdoors import plant_trees, put_props
+from skymoor.simulate.place.terraces import terrace_of
 from skymoor.simulate.plan import Array, Building, Strip, Yard
 
+FLOOR_M = 0.1  # of the ground floor above the ground
 MIN_EXTENT_M = 260.0  # oblique photos look further than the site
 GROUPS_APART_M = 45.0
+ROADS_APART_M = {"office-park": 95.0, "industrial": 135.0, "flooded": 150.0, "hillside": 90.0, "old-houses": 75.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +59,14 @@ def make_plan(options: SiteOptions) -> Plan:
         ground.take_line(strip.line, strip.width_m + 5.0)
     buildings, yards = _core(options, land, ground, strips)
     walked = _walked(buildings, options.groups)
+    goals = [b for b in buildings if b.name in walked]
     outer, outer_yards = _surroundings(options, land, ground, strips, extent)
-    trees = plant_trees(options, land, ground, extent, [b for b in buildings if b.name in walked])
+    if options.preset == "hillside":
+        land = replace(land, terraces=tuple(terrace_of(b, b.up - FLOOR_M) for b in (*buildings, *outer)))
+    if options.preset == "old-houses":
+        trees = plant_old_trees(options, ground, extent, [*buildings, *outer], strips, goals)
+    else:
+        trees = plant_trees(options, land, ground, extent, goals)
     props = put_props(options, land, ground)
     barren = 0.75 if options.preset == "industrial" else 0.0
     return Plan(land, extent, buildings, outer, strips, (*yards, *outer_yards), trees, props, walked, barren)
@@ -67,7 +77,7 @@ def _roads(options: SiteOptions, extent: float) -> tuple[Strip, ...]:
     rng = stream(options.key, "roads")
     heading = rng.uniform(0, 180)
     strips = []
-    spacing = {"office-park": 95.0, "industrial": 135.0, "flooded": 150.0}[options.preset]
+    spacing = ROADS_APART_M[options.preset]
     for turn in (0.0, 90.0):
         direction = np.radians(heading + turn)
         along = np.array([np.cos(direction), np.sin(direction)])
@@ -108,7 +118,8 @@ def _core(
             continue
         ground.take(placed(grown(block.outline, 2.5), e, n, heading))
         buildings.append(_building(f"B{len(buildings) + 1}", block, e, n, heading, options, land, fine=True))
-        yard = _yard_beside(block, e, n, heading, ground, rng, blocks.yard) if len(yards) < wanted * 0.6 else None
+        more = blocks.yard is not None and len(yards) < wanted * 0.6
+        yard = _yard_beside(block, e, n, heading, ground, rng, blocks.yard) if more else None
         yards += [yard] if yard and not land.wet(yard.east, yard.north) else []
     if options.look_alikes == "twins" and len(buildings) > 2:
         buildings = _with_twin(buildings)
@@ -120,8 +131,9 @@ def _building(
 ) -> Building:
     outline = placed(block.outline, e, n, heading)
     around = land.height(outline[:, 0], outline[:, 1])
-    # Doors stay free on a slope; who stands in the pond stands on its bed.
-    up = float(around.min() if land.wet(e, n) else around.max()) + 0.1
+    # Doors stay free on a slope, which a terrace cuts and fills alike; who stands in the pond stands on its bed.
+    level = around.mean() if options.preset == "hillside" else around.min() if land.wet(e, n) else around.max()
+    up = float(level) + FLOOR_M
     return Building(
         name=name,
         east=float(e),
@@ -171,7 +183,7 @@ def _heading_at(strips: tuple[Strip, ...], e: float, n: float) -> float:
 
 
 def _yard_beside(
-    block: Block, e: float, n: float, heading: float, ground: Occupied, rng: np.random.Generator, kind: str
+    block: Block, e: float, n: float, heading: float, ground: Occupied, rng: np.random.Generator, kind: str | None
 ) -> Yard | None:
     """The first side of a building with room for a car park or a yard."""
     x0, y0 = np.min(block.outline, axis=0)
@@ -228,6 +240,7 @@ def _surroundings(
             continue
         ground.take(placed(grown(block.outline, 2), e, n, heading))
         found.append(_building(f"D{len(found) + 1}", block, e, n, heading, options, land, fine=False))
-        yard = _yard_beside(block, e, n, heading, ground, rng, blocks.yard) if rng.uniform() < 0.5 else None
+        more = blocks.yard is not None and rng.uniform() < 0.5
+        yard = _yard_beside(block, e, n, heading, ground, rng, blocks.yard) if more else None
         yards += [yard] if yard else []
     return tuple(found), tuple(yards)

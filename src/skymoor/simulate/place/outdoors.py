@@ -15,7 +15,7 @@ from skymoor.simulate.plan import Array, Building
 def plant_trees(options: SiteOptions, land: Land, ground: Occupied, extent: float, walked: list[Building]) -> Array:
     """Single trees and groves; fewer at industrial sites. Some stand before the facades that people photograph."""
     rng = stream(options.key, "trees")
-    density = {"office-park": 24.0, "industrial": 9.0, "flooded": 28.0}[options.preset]  # per hectare
+    density = {"office-park": 24.0, "industrial": 9.0, "flooded": 28.0, "hillside": 26.0}[options.preset]  # per hectare
     count = int(density * (2 * extent / 100) ** 2)
     groves = rng.uniform(-extent, extent, (max(count // 25, 4), 2))
     near = rng.uniform(size=count) < 0.55
@@ -53,6 +53,8 @@ def put_props(options: SiteOptions, land: Land, ground: Occupied) -> tuple[tuple
             ("hedge", 2, 2.5),
         ),
         "flooded": (("lamp", 5, 0.6), ("hedge", 6, 2.5), ("bench", 3, 1.2), ("shed", 3, 2.5), ("container", 2, 4.0)),
+        "hillside": (("lamp", 7, 0.6), ("hedge", 9, 2.5), ("bench", 4, 1.2), ("shed", 4, 2.5), ("bin", 3, 0.6)),
+        "old-houses": (("lamp", 6, 0.6), ("hedge", 10, 2.5), ("bench", 4, 1.2), ("shed", 7, 2.5), ("bin", 5, 0.6)),
     }[options.preset]
     props: list[tuple[str, float, float, float]] = []
     for kind, per_hectare, half in kinds:

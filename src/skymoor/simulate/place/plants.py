@@ -17,6 +17,7 @@ LEAF = {
 BARK = (0.12, 0.10, 0.08)
 EVERGREEN = 0.25  # share of the trees
 NEAR_LEAVES, FAR_LEAVES = 6500, 260
+LARGE_CROWN_M = 4.5  # radius, from which on twigs are larger, not more, for the triangles that they cost
 
 
 def trees(plan: Array, land: Land, radius_m: float, season: Season, seed: int) -> tuple[Part, Part]:
@@ -33,7 +34,8 @@ def trees(plan: Array, land: Land, radius_m: float, season: Season, seed: int) -
         bare = season == "winter" and not evergreen
         count = (NEAR_LEAVES if near else FAR_LEAVES) // (6 if bare else 1)
         tones = LEAF["summer" if evergreen else season]
-        crowns.append(_leaves(blobs, count, np.array(tones[rng.integers(3)]), rng, size_m=0.22 if near else 0.9))
+        size_m = _twig_m(crown, near=near, bare=bare)
+        crowns.append(_leaves(blobs, count, np.array(tones[rng.integers(3)]), rng, size_m=size_m))
     return join(trunks), join(crowns)
 
 
@@ -44,6 +46,13 @@ def hedge(middle: Array, heading_deg: float, land: Land, season: Season, rng: np
     tone = np.array(LEAF["summer" if season == "summer" else "winter"][1])
     part = _cards(inside, 0.17, tone, rng)
     return part.placed(heading_deg, [*middle, float(land.height(*middle))])
+
+
+def _twig_m(crown: float, *, near: bool, bare: bool) -> float:
+    """Size of the triangles of a crown of that radius."""
+    if crown <= LARGE_CROWN_M:
+        return 0.22 if near else 0.9
+    return crown * (0.07 if near else 0.25) * (0.6 if bare else 1.0)
 
 
 def _branches(
