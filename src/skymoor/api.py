@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -40,6 +41,7 @@ Where = str | PathLike[str]
 StageProgress = Callable[..., None]
 """Called with the name of a stage, steps done, steps in all, and now and then a line about how it goes."""
 
+LOG = logging.getLogger("skymoor")
 LARGEST_SEED = 2**31 - 1  # COLMAP's
 
 
@@ -258,6 +260,9 @@ def _jobs(
         progress=track("reference"),
         depends_on=(raster_files(*_rasters(files)), installed_grids()),
     )
+    for text in reference.notes:
+        note(text)
+        LOG.info("reference: %s", text)
     airborne = Job(photos, reference, options, store, seed, track)
     jobs = [airborne]
     for k, folder in enumerate(site.ground):

@@ -121,6 +121,16 @@ class ComponentResult:
         return np.asarray(turn @ self.component.centre_covariances[self._trusted] @ turn.T)
 
     @property
+    def viewed_enu(self) -> Array | None:
+        """Median (n, 3) of the points that each of `cameras_enu` shows, ENU metres; None where it is not registered."""
+        enu_from_level, seen = self.registration.enu_from_level, self.component
+        if enu_from_level is None:
+            return None
+        shown = [seen.points[seen.obs_point[seen.obs_camera == k]] for k in np.flatnonzero(self._trusted)]
+        middles = [np.median(points if len(points) else seen.points, axis=0) for points in shown]
+        return enu_from_level.apply(np.array(middles).reshape(-1, 3))
+
+    @property
     def component_enu(self) -> Component | None:
         """The component on Earth without cameras that contradict it and what they see; None if it is not registered."""
         enu_from_level = self.registration.enu_from_level

@@ -42,6 +42,8 @@ def raised(height: Array32, pixel_m: float) -> Mask:
 
 def is_bare_earth(model: Array32, reference: Array32, pixel_m: float) -> bool:
     """Whether the reference lies at the ground where the model has houses and trees; (h, w) metres on one grid."""
+    # On one area: what an opening does at the border of a slope is the same for both then.
+    reference = np.where(np.isfinite(model), reference, np.nan).astype(np.float32)
     above = model - ground_level(model, pixel_m)
     of_reference = reference - ground_level(reference, pixel_m)
     with np.errstate(invalid="ignore"):

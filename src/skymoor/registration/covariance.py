@@ -221,16 +221,19 @@ def camera_accuracy(
     reference: Reference,
     calibration: Calibration | None,
     shape_enu: Array | None = None,
+    viewed_enu: Array | None = None,
 ) -> CameraAccuracy:
     """Predicted accuracy of camera positions.
 
-    A focal length that is one percent too long puts every camera one percent of its height too high.
+    A focal length that is one percent too long puts every camera one percent too far from what it shows: too high, and
+    with an oblique view also aside.
 
     Args:
         registration: with a covariance.
         centres_enu: (n, 3) metres.
         reference: its covariance is shared.
         calibration: uncertainty of the focal length; None to ignore it.
+        viewed_enu: (n, 3) middle of what each camera shows; None for what is straight below it.
         shape_enu: formal covariances (n, 3, 3) m^2 of the camera centres within the model, where they are known.
 
     Raises `TooFewMatches` for a registration without covariance.
@@ -240,8 +243,9 @@ def camera_accuracy(
     centres = np.asarray(centres_enu, dtype=np.float64).reshape(-1, 3)
     relative = point_covariance(registration.covariance, registration.centroid_enu, centres)
     if calibration is not None:
-        above = centres[:, 2] - registration.centroid_enu[2]
-        relative[:, 2, 2] += (calibration.focal_sigma * above) ** 2
+        away = centres - registration.centroid_enu
+        away = away * [0.0, 0.0, 1.0] if viewed_enu is None else centres - viewed_enu
+        relative += calibration.focal_sigma**2 * away[:, :, None] * away[:, None, :]
     if shape_enu is not None:
         relative = relative + SHAPE_FACTOR**2 * shape_enu
     return CameraAccuracy(np.broadcast_to(reference.covariance, relative.shape), relative)

@@ -56,6 +56,8 @@ class HeightFit:
         model_relief_m, reference_relief_m: standard deviation of heights about a plane, where both are known.
         resolution_m: finest detail of the elevation model, full width at half maximum, as it fits the model best.
         blocks: number of independent blocks.
+        hidden_share: of the model's outline, the part without heights: crowns, water, roofs without texture. A coarse
+            elevation model averages over what is there.
     """
 
     scale: float
@@ -68,6 +70,7 @@ class HeightFit:
     reference_relief_m: float
     resolution_m: float
     blocks: int
+    hidden_share: float = 0.0
 
     @property
     def scale_sigma(self) -> float:
@@ -104,7 +107,8 @@ def compare_heights(
     trials = [_blurred(a, float(np.hypot(BLUR_M, blur)) / size_m) for blur in blurs]
     pairs = _Pairs.of(trials, smooth, corner, size_m)
     found = None if pairs is None else _over_blurs(pairs, np.array(blurs), size_m)
-    return found or _offset_only(a, b, corner, size_m)
+    found = found or _offset_only(a, b, corner, size_m)
+    return None if found is None else replace(found, hidden_share=_hidden_share(a, b))
 
 
 def blur_range(reference: Array32, pixel_m: float, dsm_pixel_m: float) -> tuple[float, float]:
@@ -168,6 +172,15 @@ def _over_blurs(pairs: _Pairs, blurs: Array, size_m: float) -> HeightFit | None:
     covariance[3, 3] += float(shares @ (scales - mean) ** 2) + (BLUR_TOLERANCE * steepness) ** 2
     covariance[3, 3] += (SYSTEMATIC * mean) ** 2
     return replace(judged, scale=judged.scale + mean - float(scales[best]), covariance=covariance)
+
+
+def _hidden_share(model: Array32, reference: Array32) -> float:
+    """Part of the convex outline of the model's heights, where the reference has some, without heights of the model."""
+    known = np.isfinite(model)
+    points = cv2.findNonZero(known.astype(np.uint8))
+    outline = cv2.fillConvexPoly(np.zeros(known.shape, np.uint8), cv2.convexHull(points), 1) > 0
+    asked = outline & np.isfinite(reference)
+    return float(1 - np.mean(known[asked])) if asked.any() else 0.0
 
 
 def _offset_only(model: Array32, reference: Array32, corner: Array, size_m: float) -> HeightFit | None:

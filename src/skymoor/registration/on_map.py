@@ -22,6 +22,8 @@ from skymoor.types import Array, HeightVerdict, Matches3D, Registration
 FINE_M = 6.0
 """Resolution up to which the jackknife's figures of offset and slope are believed. Coarser elevation models err over
 distances that a site does not show: their errors count as if they were one."""
+HIDDEN_M = 5.0
+"""Uncertainty of the mean height of what stereo does not measure: water, or crowns of ten metres."""
 LEVER = 0.3  # standard deviation of positions, as a share of the model's extent: of a uniform distribution
 
 
@@ -106,7 +108,8 @@ def _vertical(
     fine = np.isfinite(heights.resolution_m) and heights.resolution_m <= FINE_M
     if verdict.status != "CONFIRMED" or not fine:
         lever = max(LEVER * extent_m, 1.0)
-        covariance += np.diag([(heights.spread_m / lever) ** 2] * 2 + [heights.spread_m**2])
+        whole = heights.spread_m**2 + (HIDDEN_M * heights.hidden_share) ** 2
+        covariance += np.diag([heights.spread_m**2 / lever**2] * 2 + [whole])
     believed = np.isfinite(covariance).all() and verdict.status != "NOT_CONFIRMED"
     if not believed or heights.reference_relief_m == 0:
         tilt = np.diag([tilt_sigma**2, tilt_sigma**2, covariance[2, 2]])

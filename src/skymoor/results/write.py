@@ -65,9 +65,10 @@ def accuracy_of(item: ComponentResult, reference: Reference) -> CameraAccuracy:
     centres = np.array([camera.centre for camera in item.cameras_enu]).reshape(-1, 3)
     # A model that is registered to another takes its scale from that.
     calibration = item.component.calibration if base is None else None
-    found = camera_accuracy(item.registration, centres, reference, calibration, shape)
     if base is None:
-        return found
+        viewed = item.viewed_enu if item.registration.registered else None
+        return camera_accuracy(item.registration, centres, reference, calibration, shape, viewed)
+    found = camera_accuracy(item.registration, centres, reference, calibration, shape)
     carried = camera_accuracy(base.registration, centres, reference, base.component.calibration)
     return CameraAccuracy(found.shared, found.relative + carried.relative)
 
@@ -115,6 +116,7 @@ def write_products(
             "vertical_datum": site.reference.vertical_datum,
             "covariance_m2": reference.covariance,
             "pixel_m": reference.grid.pixel_m,
+            "notes": list(reference.notes),
         },
         "enu_origin": georeference(reference.frame, Similarity.identity())["enu_origin"],
         "provenance": provenance,
