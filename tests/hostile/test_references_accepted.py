@@ -14,8 +14,8 @@ import rasterio
 from numpy.typing import NDArray
 from PIL import Image
 
-import skymoor.reference.raster
 import skymoor.reference.heights
+import skymoor.reference.raster
 from support.map_scene import (
     DSM_M,
     ORTHO_M,

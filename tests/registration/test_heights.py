@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, zoom
 
 from skymoor.geo import Grid
 from skymoor.registration import HeightFit, compare_heights, ground_level, is_bare_earth, raised
-from skymoor.registration.heights import blur_range
+from skymoor.registration.detail import blur_range
 
 Array32 = NDArray[np.float32]
 PIXEL_M = 0.5

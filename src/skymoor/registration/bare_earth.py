@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from skymoor.registration.heights import WORKING_M, averaged
+from skymoor.registration.detail import WORKING_M, averaged
 from skymoor.types import Array32, Mask
 
 RAISED_M = 2.5  # above ground: houses and trees
