@@ -14,7 +14,7 @@ from skymoor.geometry import Similarity
 from skymoor.ground.walls import GroundPoseCheck
 from skymoor.pipeline.job import ComponentResult
 from skymoor.results.write import SetResult, accuracy_of, camera_rows, figures_of
-from skymoor.types import Reference, Registration
+from skymoor.types import Calibration, Reference, Registration
 from support.blocks import block
 
 COVARIANCE = np.diag([0.5, 0.6, 2.0])
@@ -86,3 +86,16 @@ def test_what_a_doubted_camera_sees_leaves_the_model(ground: ComponentResult) ->
     np.testing.assert_array_equal(left.obs_camera, whole.obs_camera[kept] - (whole.obs_camera[kept] > 1))
     np.testing.assert_array_equal(left.points, whole.points)
     assert replace(doubted, registration=replace(ground.registration, registered=False)).component_enu is None
+
+
+def test_a_focal_length_moves_cameras_along_their_view() -> None:
+    """One percent of the distance to what is shown: down for a nadir camera, and also aside for an oblique one."""
+    calibration = Calibration(True, 500.0, 0.0, 0.99, 1.01, False)
+    component = replace(block("orbit", relief_m=2.0), calibration=calibration)
+    base = ComponentResult("airborne-0", component, Similarity.identity(), registration(1e-12, [0, 0, 0]))
+    found = accuracy_of(base, REFERENCE).relative
+    for camera, covariance in zip(base.cameras_enu, found, strict=True):
+        axis = camera.cam_from_world.rotation[2]
+        distance = np.sqrt(covariance.trace()) / 0.01
+        assert 0.7 < distance / np.linalg.norm(camera.centre - np.median(component.points, axis=0)) < 1.3
+        assert axis @ covariance @ axis == pytest.approx(covariance.trace(), rel=1e-3)

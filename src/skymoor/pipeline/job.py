@@ -122,13 +122,17 @@ class ComponentResult:
 
     @property
     def viewed_enu(self) -> Array | None:
-        """Median (n, 3) of the points that each of `cameras_enu` shows, ENU metres; None where it is not registered."""
+        """Where the axis of each of `cameras_enu` meets what it shows (n, 3), ENU metres; None if not registered."""
         enu_from_level, seen = self.registration.enu_from_level, self.component
         if enu_from_level is None:
             return None
-        shown = [seen.points[seen.obs_point[seen.obs_camera == k]] for k in np.flatnonzero(self._trusted)]
-        middles = [np.median(points if len(points) else seen.points, axis=0) for points in shown]
-        return enu_from_level.apply(np.array(middles).reshape(-1, 3))
+        viewed = []
+        for k in np.flatnonzero(self._trusted):
+            camera, points = seen.cameras[k], seen.points[seen.obs_point[seen.obs_camera == k]]
+            axis = camera.cam_from_world.rotation[2]
+            depth = np.median((points if len(points) else seen.points) @ axis) - camera.centre @ axis
+            viewed.append(camera.centre + depth * axis)
+        return enu_from_level.apply(np.array(viewed).reshape(-1, 3))
 
     @property
     def component_enu(self) -> Component | None:

@@ -233,7 +233,7 @@ def camera_accuracy(
         centres_enu: (n, 3) metres.
         reference: its covariance is shared.
         calibration: uncertainty of the focal length; None to ignore it.
-        viewed_enu: (n, 3) middle of what each camera shows; None for what is straight below it.
+        viewed_enu: (n, 3) where the axis of each camera meets what it shows; None for straight below it.
         shape_enu: formal covariances (n, 3, 3) m^2 of the camera centres within the model, where they are known.
 
     Raises `TooFewMatches` for a registration without covariance.
