@@ -45,9 +45,11 @@ def grid_from_render(render: Render, enu_from_level: Similarity, grid: Grid) -> 
     return np.asarray(cv2.getAffineTransform(corners.astype(np.float32), px.astype(np.float32)))
 
 
-def render_bounds(render: Render, enu_from_level: Similarity) -> tuple[float, float, float, float]:
-    """West, south, east and north of what the render shows, ENU metres at ground level."""
-    rows, columns = np.nonzero(np.isfinite(render.xyz[..., 2]))
+def render_bounds(
+    render: Render, enu_from_level: Similarity, min_confidence: float
+) -> tuple[float, float, float, float]:
+    """West, south, east and north of what the render shows with that confidence, ENU metres at ground level."""
+    rows, columns = np.nonzero(np.isfinite(render.xyz[..., 2]) & (render.confidence >= min_confidence))
     if not len(rows):
         rows, columns = np.array([0, render.view.shape[0] - 1]), np.array([0, render.view.shape[1] - 1])
     u, v = ([side.min(), side.max() + 1] for side in (columns, rows))

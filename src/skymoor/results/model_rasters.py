@@ -18,6 +18,7 @@ from skymoor.types import Array32, Image, Mask, Progress, Render, no_progress
 
 FILLED, UNKNOWN = 0, 255
 """Confidence of pixels that were interpolated, and of those with no value; 1 to 100 is percent."""
+WORTH = 0.05  # confidence that widens the rasters; less is written within their bounds
 MAX_PIXELS = 25e6
 HOLE_M2 = 1.0
 """Largest hole that is filled: larger ones are missing surfaces, which nobody should mistake for measured ones."""
@@ -89,7 +90,7 @@ def small_holes(known: Mask, largest_px: float) -> Mask:
 
 
 def _grid_of(views: Sequence[tuple[Render, Similarity]], max_pixels: float) -> Grid:
-    bounds = np.array([render_bounds(render, transform) for render, transform in views])
+    bounds = np.array([render_bounds(render, transform, WORTH) for render, transform in views])
     west, south = bounds[:, 0].min(), bounds[:, 1].min()
     east, north = bounds[:, 2].max(), bounds[:, 3].max()
     finest = min(transform.scale * render.view.pixel for render, transform in views)
