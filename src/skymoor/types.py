@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.geo import EnuFrame, Grid
+from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.geometry import Intrinsics, Similarity
 
 Array = NDArray[np.float64]
@@ -79,8 +80,8 @@ class Calibration:
     """How well the photos alone fix the focal length.
 
     `focal_low_ratio` and `focal_high_ratio` bound the focal lengths, relative to the estimate, that explain the
-    photos about as well (profile of the bundle adjustment's cost); `uncertain` says that the bounds are too wide for
-    heights to be used.
+    photos about as well (profile of the bundle adjustment's cost). They count as an interval of 90 %: on real and
+    simulated blocks the error was a tenth to nine tenths of its half. `uncertain` says that they are wide.
     """
 
     shared_intrinsics: bool
@@ -93,8 +94,8 @@ class Calibration:
 
     @property
     def focal_sigma(self) -> float:
-        """Honest relative standard deviation of the focal length: half of the interval, or what is left of it."""
-        return max((self.focal_high_ratio - self.focal_low_ratio) / 2, self.focal_sigma_ratio, 0.0)
+        """Relative standard deviation of the focal length."""
+        return max((self.focal_high_ratio - self.focal_low_ratio) / 2 / LE90_PER_SIGMA, self.focal_sigma_ratio, 0.0)
 
     def narrowed(self, ratio: float, sigma: float) -> Calibration:
         """With what another source says: that the focal length is `ratio` times the estimate, up to `sigma` of it.
@@ -105,8 +106,8 @@ class Calibration:
         return replace(
             self,
             focal_sigma_ratio=total,
-            focal_low_ratio=1 - total,
-            focal_high_ratio=1 + total,
+            focal_low_ratio=1 - LE90_PER_SIGMA * total,
+            focal_high_ratio=1 + LE90_PER_SIGMA * total,
         )
 
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from skymoor.errors import TooFewMatches
 from skymoor.geo import EnuFrame, Grid
+from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.geometry import Similarity, point_covariance
 from skymoor.registration import (
     Agreement,
@@ -278,7 +279,8 @@ class TestCameraAccuracy:
     def test_an_uncertain_focal_length_is_height(self) -> None:
         found = registered(planted(seed=7))
         assert found.centroid_enu is not None
-        calibration = Calibration(True, 392.0, 0.0001, 0.95, 1.05, True)
+        half = 0.05 * LE90_PER_SIGMA
+        calibration = Calibration(True, 392.0, 0.0001, 1 - half, 1 + half, True)
         without, with_focal = (
             camera_accuracy(found, self.centres(), self.REFERENCE, c).relative for c in (None, calibration)
         )

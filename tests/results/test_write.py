@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from skymoor.geo import EnuFrame, Grid
+from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.geometry import Similarity
 from skymoor.ground.walls import GroundPoseCheck
 from skymoor.pipeline.job import ComponentResult
@@ -96,6 +97,6 @@ def test_a_focal_length_moves_cameras_along_their_view() -> None:
     found = accuracy_of(base, REFERENCE).relative
     for camera, covariance in zip(base.cameras_enu, found, strict=True):
         axis = camera.cam_from_world.rotation[2]
-        distance = np.sqrt(covariance.trace()) / 0.01
+        distance = np.sqrt(covariance.trace()) / (0.01 / LE90_PER_SIGMA)
         assert 0.7 < distance / np.linalg.norm(camera.centre - np.median(component.points, axis=0)) < 1.3
         assert axis @ covariance @ axis == pytest.approx(covariance.trace(), rel=1e-3)

@@ -161,14 +161,8 @@ def with_focal(component: Component, ratio: float, sigma: float) -> Component:
     same_names = {camera.image: camera.image for camera in component.cameras}
     calibration = component.calibration
     if calibration is not None:
-        calibration = replace(
-            calibration,
-            focal_px=calibration.focal_px * ratio,
-            focal_sigma_ratio=sigma,
-            focal_low_ratio=1 - sigma,
-            focal_high_ratio=1 + sigma,
-            relief_ratio=ratio,
-        )
+        known = calibration.narrowed(1.0, sigma)
+        calibration = replace(known, focal_px=calibration.focal_px * ratio, relief_ratio=ratio)
     adjusted = component_from_colmap(reconstruction, same_names)
     covariances = centre_covariances(reconstruction, adjusted)
     return replace(adjusted, colours=component.colours, calibration=calibration, centre_covariances=covariances)

@@ -14,6 +14,7 @@ from skymoor import __version__
 from skymoor.engines.colmap import write_colmap
 from skymoor.errors import DegenerateGeometry
 from skymoor.geo import ce90_m, le90_m
+from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.geometry import Similarity
 from skymoor.pipeline.job import ComponentResult
 from skymoor.pipeline.option_parser import option_values
@@ -216,12 +217,13 @@ def calibration_note(item: ComponentResult) -> str:
     calibration = item.component.calibration
     if calibration is None or not calibration.uncertain or item.base is not None:
         return ""  # a model that is registered to another takes its scale from that
-    half = 100 * calibration.focal_sigma
+    half = 100 * LE90_PER_SIGMA * calibration.focal_sigma
     note = "Focal length and flying height are not separable in these photos"
     if calibration.relief_ratio is None:
-        return f"{note}: camera heights are uncertain by +-{half:.0f} %."
+        return f"{note}: camera heights are uncertain by +-{half:.0f} % (90 %)."
     change = 100 * (calibration.relief_ratio - 1)
-    return f"{note}; the relief of the reference changed the focal length by {change:+.1f} % and leaves +-{half:.0f} %."
+    changed = f"the relief of the reference changed the focal length by {change:+.1f} %"
+    return f"{note}; {changed} and leaves +-{half:.0f} % (90 %)."
 
 
 def _write_component(
