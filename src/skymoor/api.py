@@ -115,7 +115,13 @@ def register(
 
 
 def plan(
-    site: Site, options: Mapping[str, object], *, out: Where, seed: int = 0, progress: StageProgress = ignore
+    site: Site,
+    options: Mapping[str, object],
+    *,
+    out: Where,
+    seed: int = 0,
+    progress: StageProgress = ignore,
+    note: Callable[[str], None] = ignore,
 ) -> list[Step]:
     """The steps of a run, with about how long each takes, after a check of all input; writes nothing.
 
@@ -129,6 +135,8 @@ def plan(
     reference = read_reference(
         files.ortho, files.dsm, files.vertical_datum, files.covariance, progress=_track(progress, "reference")
     )
+    for text in reference.notes:
+        note(text)
     return estimate_run(airborne, ground, reference.rgb[..., 0].size, chosen)
 
 

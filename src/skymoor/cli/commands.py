@@ -56,7 +56,9 @@ def run(command: Run) -> bool:
     )
     with Screen(plain=command.quiet, for_scripts=command.json) as screen:
         if command.dry_run:
-            steps = api.plan(site, options, out=command.out, seed=command.seed, progress=screen.progress)
+            steps = api.plan(
+                site, options, out=command.out, seed=command.seed, progress=screen.progress, note=screen.note
+            )
             screen.show(plan_table(steps))
             screen.note("nothing was written; leave out --dry-run to begin")
             screen.answer({"steps": steps})

@@ -53,8 +53,9 @@ def verdict(component: ComponentSummary) -> str:
 
 
 HEIGHT_WORDS = {
-    "CONFIRMED": "Heights are confirmed by the relief of the reference",
-    "OFFSET_ONLY": "Heights hang on the mean height of the reference alone",
+    "CONFIRMED": "Heights are confirmed by the relief of the reference, up to a constant offset: a geoid taken for the "
+    "ellipsoid cannot be seen in photos",
+    "OFFSET_ONLY": "Heights hang on the mean height of the reference, and on its vertical datum",
     "NOT_CONFIRMED": "Heights are not confirmed, and none is written",
 }
 
