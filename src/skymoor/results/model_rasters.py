@@ -10,16 +10,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skymoor.errors import DegenerateGeometry
 from skymoor.geo import Grid
 from skymoor.geometry import Similarity
 from skymoor.pipeline.job import ComponentResult
 from skymoor.pipeline.overlay import render_bounds, warp_confidence, warp_to_grid
-from skymoor.types import Array32, Image, Mask, Progress, Render, no_progress
+from skymoor.results.formats import geotiffs, pointcloud_las
+from skymoor.store import Store
+from skymoor.types import Array, Array32, Image, Mask, Progress, Reference, Render, no_progress
 
 FILLED, UNKNOWN = 0, 255
 """Confidence of pixels that were interpolated, and of those with no value; 1 to 100 is percent."""
 WORTH = 0.05  # confidence that widens the rasters; less is written within their bounds
 MAX_PIXELS = 25e6
+GROUND_STEP_PX = 3  # ground photos see the same wall often: a ninth of their pixels is enough for the cloud
 HOLE_M2 = 1.0
 """Largest hole that is filled: larger ones are missing surfaces, which nobody should mistake for measured ones."""
 
@@ -97,3 +101,47 @@ def _grid_of(views: Sequence[tuple[Render, Similarity]], max_pixels: float) -> G
     pixel = max(finest, float(np.sqrt((east - west) * (north - south) / max_pixels)))
     shape = max(1, int(np.ceil((north - south) / pixel))), max(1, int(np.ceil((east - west) / pixel)))
     return Grid(float(west), float(north), float(pixel), shape)
+
+
+def write_rasters(
+    components: Sequence[ComponentResult],
+    reference: Reference,
+    min_confidence: float,
+    store: Store,
+    progress: Progress,
+) -> None:
+    """pointcloud.laz, ortho.tif, dsm.tif and confidence.tif of all registered components."""
+    names = ("pointcloud.laz", "ortho.tif", "dsm.tif", "confidence.tif")
+    rasters = model_rasters(components, progress=progress)
+    try:
+        cloud = pointcloud_las(*_cloud(components, min_confidence), reference.frame, reference.crs)
+        if rasters is None:
+            raise DegenerateGeometry("nothing was rendered from above")
+        images = (rasters.rgb, rasters.height, rasters.confidence)
+        contents = (cloud, *geotiffs(*images, rasters.grid, reference.frame, reference.crs))
+    except DegenerateGeometry:
+        for name in names:
+            store.remove(name)
+        return
+    for name, content in zip(names, contents, strict=True):
+        store.write_bytes(name, content)
+
+
+def _cloud(components: Sequence[ComponentResult], min_confidence: float) -> tuple[Array, Image]:
+    """Points (n, 3) ENU and colours (n, 3): of the renders where they are confident, and of ground depth maps."""
+    clouds, colours = [], []
+    for item in components:
+        transform = item.registration.enu_from_level
+        if not item.registration.registered or transform is None:
+            continue
+        if item.render is None:
+            for xyz_level, rgb in (depth_map.points(step=GROUND_STEP_PX) for depth_map in item.depths):
+                clouds.append(transform.apply(xyz_level.astype(np.float64)))
+                colours.append(rgb)
+            continue
+        confident = item.render.confidence >= min_confidence
+        clouds.append(transform.apply(item.render.xyz[confident].astype(np.float64)))
+        colours.append(item.render.rgb[confident])
+    if not clouds:
+        raise DegenerateGeometry("nothing is registered")
+    return np.concatenate(clouds), np.concatenate(colours)

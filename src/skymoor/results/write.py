@@ -12,7 +12,6 @@ import numpy as np
 
 from skymoor import __version__
 from skymoor.engines.colmap import write_colmap
-from skymoor.errors import DegenerateGeometry
 from skymoor.geo import ce90_m, le90_m
 from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.geometry import Similarity
@@ -26,12 +25,10 @@ from skymoor.results.formats import (
     cameras_geojson,
     cameras_table,
     georeference,
-    geotiffs,
     placed_cameras,
-    pointcloud_las,
     unplaced_cameras,
 )
-from skymoor.results.model_rasters import model_rasters
+from skymoor.results.model_rasters import write_rasters
 from skymoor.results.report.renderings import (
     confidence_figure,
     height_figure,
@@ -41,10 +38,9 @@ from skymoor.results.report.renderings import (
 )
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow
 from skymoor.store import Store
-from skymoor.types import Array, HeightStatus, Image, Progress, Reference, no_progress
+from skymoor.types import Array, HeightStatus, Progress, Reference, no_progress
 
 REGISTERED, NOT_REGISTERED = "REGISTERED", "NOT_REGISTERED"
-GROUND_STEP_PX = 3  # ground photos see the same wall often: a ninth of their pixels is enough for the cloud
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +101,7 @@ def write_products(
         for k, item in enumerate(found.components):
             _write_component(f"{found.name}_{k}", item, reference, options.match, store)
     components = [item for found in sets for item in found.components]
-    _write_rasters(components, reference, options.match, store, progress)
+    write_rasters(components, reference, options.match.min_height_confidence, store, progress)
     summary = {
         "skymoor": __version__,
         "site": site.name,
@@ -277,47 +273,3 @@ def _write_pictures(
     store.write_png(f"matches/{name}_overlay.png", overlay_figure(warped, reference.rgb, pixel_m=pixel_m))
     arrows = residual_figure(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
     store.write_png(f"matches/{name}_residuals.png", arrows)
-
-
-def _write_rasters(
-    components: Sequence[ComponentResult],
-    reference: Reference,
-    options: MatchOptions,
-    store: Store,
-    progress: Progress,
-) -> None:
-    """pointcloud.laz, ortho.tif, dsm.tif and confidence.tif of all registered components."""
-    names = ("pointcloud.laz", "ortho.tif", "dsm.tif", "confidence.tif")
-    rasters = model_rasters(components, progress=progress)
-    try:
-        cloud = pointcloud_las(*_cloud(components, options), reference.frame, reference.crs)
-        if rasters is None:
-            raise DegenerateGeometry("nothing was rendered from above")
-        images = (rasters.rgb, rasters.height, rasters.confidence)
-        contents = (cloud, *geotiffs(*images, rasters.grid, reference.frame, reference.crs))
-    except DegenerateGeometry:
-        for name in names:
-            store.remove(name)
-        return
-    for name, content in zip(names, contents, strict=True):
-        store.write_bytes(name, content)
-
-
-def _cloud(components: Sequence[ComponentResult], options: MatchOptions) -> tuple[Array, Image]:
-    """Points (n, 3) ENU and colours (n, 3): of the renders where they are confident, and of ground depth maps."""
-    clouds, colours = [], []
-    for item in components:
-        transform = item.registration.enu_from_level
-        if not item.registration.registered or transform is None:
-            continue
-        if item.render is None:
-            for xyz_level, rgb in (depth_map.points(step=GROUND_STEP_PX) for depth_map in item.depths):
-                clouds.append(transform.apply(xyz_level.astype(np.float64)))
-                colours.append(rgb)
-            continue
-        confident = item.render.confidence >= options.min_height_confidence
-        clouds.append(transform.apply(item.render.xyz[confident].astype(np.float64)))
-        colours.append(item.render.rgb[confident])
-    if not clouds:
-        raise DegenerateGeometry("nothing is registered")
-    return np.concatenate(clouds), np.concatenate(colours)
