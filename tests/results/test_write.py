@@ -96,7 +96,7 @@ def test_a_focal_length_moves_cameras_along_their_view() -> None:
     base = ComponentResult("airborne-0", component, Similarity.identity(), registration(1e-12, [0, 0, 0]))
     found = accuracy_of(base, REFERENCE).relative
     for camera, covariance in zip(base.cameras_enu, found, strict=True):
-        axis = camera.cam_from_world.rotation[2]
         distance = np.sqrt(covariance.trace()) / (0.01 / LE90_PER_SIGMA)
         assert 0.7 < distance / np.linalg.norm(camera.centre - np.median(component.points, axis=0)) < 1.3
-        assert axis @ covariance @ axis == pytest.approx(covariance.trace(), rel=1e-3)
+        axis = camera.cam_from_world.rotation[2]
+        assert axis @ covariance @ axis > 0.8 * covariance.trace()

@@ -35,6 +35,7 @@ from skymoor.types import (
 )
 
 T = TypeVar("T")
+NEAREST = 4
 
 LOG = logging.getLogger("skymoor")
 
@@ -122,16 +123,22 @@ class ComponentResult:
 
     @property
     def viewed_enu(self) -> Array | None:
-        """Where the axis of each of `cameras_enu` meets what it shows (n, 3), ENU metres; None if not registered."""
+        """Where a camera of each of `cameras_enu` looks (n, 3), ENU metres; None if not registered.
+
+        Along the mean axis of a camera and its nearest ones: the jitter of a single nadir photo moves it aside no more
+        than its neighbours, which share its points.
+        """
         enu_from_level, seen = self.registration.enu_from_level, self.component
         if enu_from_level is None:
             return None
+        centres, axes = seen.centres, np.array([camera.cam_from_world.rotation[2] for camera in seen.cameras])
         viewed = []
         for k in np.flatnonzero(self._trusted):
-            camera, points = seen.cameras[k], seen.points[seen.obs_point[seen.obs_camera == k]]
-            axis = camera.cam_from_world.rotation[2]
-            depth = np.median((points if len(points) else seen.points) @ axis) - camera.centre @ axis
-            viewed.append(camera.centre + depth * axis)
+            points = seen.points[seen.obs_point[seen.obs_camera == k]]
+            near = np.argsort(np.linalg.norm(centres - centres[k], axis=1), kind="stable")[: NEAREST + 1]
+            axis = axes[near].mean(axis=0) / np.linalg.norm(axes[near].mean(axis=0))
+            depth = np.median((points if len(points) else seen.points) @ axis) - centres[k] @ axis
+            viewed.append(centres[k] + depth * axis)
         return enu_from_level.apply(np.array(viewed).reshape(-1, 3))
 
     @property
