@@ -37,6 +37,8 @@ from skymoor.registration.agreement import Agreement, count_cells
 from skymoor.registration.on_map import FINE_M
 from skymoor.types import Array, Array32, Calibration, HeightVerdict, Matches3D, Reference, Registration, Render
 
+BARE_SPREAD = 0.7
+"""Ratio of what the fit of open ground leaves to that of everything, below which the rest is houses and trees."""
 MIN_TILT_SIGMA_DEG = 0.3
 """Floor of the levelling's own figure, which is a formal one."""
 
@@ -166,11 +168,12 @@ def _heights(
     """The model's heights (h, w) against the reference's, on its grid; on open ground alone if it shows no more."""
     grid, surface = reference.grid, reference.height
     fit = compare_heights(up, surface, grid, reference.dsm_pixel_m)
-    fine = fit is not None and fit.resolution_m <= FINE_M
-    bare = fine and is_bare_earth(up, surface, grid.pixel_m)
-    if bare:
-        fit = compare_heights(up, surface, grid, reference.dsm_pixel_m, use=~raised(up, grid.pixel_m))
-    return fit, judge_heights(fit, calibration, bare=bare)
+    if fit is None or reference.dsm_pixel_m > FINE_M or not is_bare_earth(up, surface, grid.pixel_m):
+        return fit, judge_heights(fit, calibration)
+    # A coarse surface model that was interpolated has no houses either, but it does not fit open ground alone better.
+    ground = compare_heights(up, surface, grid, reference.dsm_pixel_m, use=~raised(up, grid.pixel_m))
+    bare = ground is not None and ground.spread_m < BARE_SPREAD * fit.spread_m
+    return (ground, judge_heights(ground, calibration, bare=True)) if bare else (fit, judge_heights(fit, calibration))
 
 
 def _above_ground(matches: Matches3D, render: Render, metres_per_level: float) -> Array:
