@@ -23,7 +23,7 @@ from skymoor.results.formats._crs import MapFrame
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-NODATA_M, UNKNOWN = -9999.0, 255
+NODATA_M, UNKNOWN, INTERPOLATED = -9999.0, 255, 0
 LATTICE_PX = 32
 BLOCK_ROWS = 16 * LATTICE_PX
 HEIGHT_STEP_M = 100.0
@@ -64,7 +64,9 @@ def geotiffs(
         ortho[:3, rows] = np.where(known, colour.transpose(2, 0, 1), 0)
         ortho[3, rows] = np.where(known, 255, 0)
         dsm[rows] = np.where(known, up + offset, NODATA_M)
-        trust[rows] = np.where(known, _nearest(confidence, px), UNKNOWN)
+        nearest = _nearest(confidence, px)
+        # Beside a hole, a value comes of the neighbours alone.
+        trust[rows] = np.where(known, np.where(nearest == UNKNOWN, INTERPOLATED, nearest), UNKNOWN)
     return (
         _written(ortho, target, chart, None),
         _written(dsm[None], target, chart, NODATA_M),
