@@ -115,19 +115,18 @@ def registered_in(
 
     Scales are searched within `SCALE_RANGE` of the true one.
     """
-    picture, target = nadir_raster(render, OPTIONS.match.min_height_confidence), reference_raster(reference)
+    picture, target = as_raster(render), reference_raster(reference)
     px = render.view.pixel * metres / reference.grid.pixel_m
     scales = {"min_scale": px / SCALE_RANGE, "max_scale": px * SCALE_RANGE}
     sized = ReferencePyramid(target)
     renders = [render, *(as_render(decoy, render.view) for decoy in make_decoys(picture, DECOYS, rng))]
     places = []
     for one in renders:
-        raster = nadir_raster(one, OPTIONS.match.min_height_confidence)
-        places.append(search_in(sized, raster, **scales, options=SEARCH, progress=no_progress))
+        places.append(search_in(sized, as_raster(one), **scales, options=SEARCH, progress=no_progress))
     if not places[0]:
         return Registration(registered=False, reason="too small", enu_from_level=None), []
     tried = [
-        (found, register_hypothesis(found[0], one, reference, PRIOR, STEPS, rng=rng))
+        (found, register_hypothesis(found[0], (as_raster(one), target), one, reference, PRIOR, STEPS, rng=rng))
         for one, found in zip(renders, places, strict=True)
         if found
     ]
@@ -139,6 +138,11 @@ def registered_in(
         evidence = {"agreement": one.agreement, "decoys": null}
         decided.append(decide(one.registration, scores, one.n_matches_2d, OPTIONS.register, **evidence))
     return decided[0], decided[1:]
+
+
+def as_raster(render: Render) -> Raster:
+    """What of a render is searched and matched."""
+    return nadir_raster(render, MATCH.min_height_confidence)
 
 
 def as_render(decoy: Raster, view: View) -> Render:

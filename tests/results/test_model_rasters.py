@@ -10,7 +10,8 @@ import pytest
 
 from skymoor.geometry import Similarity
 from skymoor.pipeline.job import ComponentResult
-from skymoor.results.model_rasters import FILLED, UNKNOWN, model_rasters, small_holes
+from skymoor.results.formats.raster import INTERPOLATED, UNKNOWN
+from skymoor.results.model_rasters import model_rasters, small_holes
 from skymoor.types import Registration, Render, View
 from support.blocks import block
 
@@ -50,7 +51,7 @@ def test_small_holes_are_filled_and_marked_and_large_ones_stay() -> None:
     small, large = np.s_[100:103, 120:123], np.s_[40:70, 150:190]
     found = model_rasters([shown(small)])
     assert found is not None
-    filled = found.confidence == FILLED
+    filled = found.confidence == INTERPOLATED
     assert 4 <= filled.sum() <= 30
     rows, columns = np.nonzero(filled)
     assert (abs(rows - 101) < 4).all() and (abs(columns - 121) < 4).all()
@@ -59,7 +60,7 @@ def test_small_holes_are_filled_and_marked_and_large_ones_stay() -> None:
     assert (found.rgb[filled] == 90).all()
     open_ = model_rasters([shown(large)])
     assert open_ is not None
-    assert not (open_.confidence == FILLED).any() and np.isnan(open_.height[50:60, 160:180]).all()
+    assert not (open_.confidence == INTERPOLATED).any() and np.isnan(open_.height[50:60, 160:180]).all()
 
 
 def test_smaller_components_fill_what_larger_leave() -> None:

@@ -35,7 +35,7 @@ from skymoor.registration import (
 )
 from skymoor.registration.agreement import Agreement, count_cells
 from skymoor.registration.on_map import FINE_M
-from skymoor.types import Array, Array32, Calibration, HeightVerdict, Matches3D, Reference, Registration, Render
+from skymoor.types import Array, Array32, Calibration, HeightVerdict, Matches3D, Raster, Reference, Registration, Render
 
 BARE_SPREAD = 0.7
 """Ratio of what the fit of open ground leaves to that of everything, below which the rest is houses and trees."""
@@ -79,9 +79,10 @@ def register_best(
     """
     rng = np.random.default_rng(seed)
     steps = Steps(matcher, cyclic, lift_options, options, min_confidence)
+    images = nadir_raster(render, min_confidence), reference_raster(reference)
     results: list[tuple[Registration, Matches3D]] = []
     for k, hypothesis in enumerate(hypotheses[:candidates]):
-        candidate = register_hypothesis(hypothesis, render, reference, prior, steps, rng=rng)
+        candidate = register_hypothesis(hypothesis, images, render, reference, prior, steps, rng=rng)
         scores = [hypothesis.score, *(other.score for j, other in enumerate(hypotheses) if j != k)]
         one, n = candidate.registration, candidate.n_matches_2d
         found = decide(one, scores, n, options, agreement=candidate.agreement, decoys=decoys)
@@ -112,6 +113,7 @@ class Candidate:
 
 def register_hypothesis(
     hypothesis: ImageHypothesis,
+    images: tuple[Raster, Raster],
     render: Render,
     reference: Reference,
     prior: Prior,
@@ -119,14 +121,14 @@ def register_hypothesis(
     *,
     rng: np.random.Generator,
 ) -> Candidate:
-    """Match the render densely at a hypothesis, lift the matches and register them."""
-    image, map_image = nadir_raster(render, steps.min_confidence), reference_raster(reference)
+    """Match the render densely at a hypothesis, lift the matches and register them; `images` are those of both."""
+    image, map_image = images
     b_from_a = hypothesis.matrix(image.mask.shape)
     metres_per_level = hypothesis.scale * reference.grid.pixel_m / render.view.pixel
     matches_2d, _ = match_hypothesis(image, map_image, b_from_a, steps.matcher, steps.cyclic, rng=rng)
     matches = lift(matches_2d, render, reference, metres_per_level, steps.lift)
     above_m = _above_ground(matches, render, metres_per_level)
-    found = register_on_map(matches, above_m, render, reference, prior, steps.register, steps.min_confidence, rng=rng)
+    found = register_on_map(matches, above_m, render, reference, prior, steps, rng=rng)
     inliers = np.zeros(len(matches), bool) if found.inliers is None else found.inliers
     cell_px = steps.register.correlation_m / reference.grid.pixel_m
     cells = count_cells(image.mask, map_image.mask, b_from_a, matches.pixels.px_b, inliers, cell_px)
@@ -139,23 +141,22 @@ def register_on_map(
     render: Render,
     reference: Reference,
     prior: Prior,
-    options: RegisterOptions,
-    min_confidence: float,
+    steps: Steps,
     *,
     rng: np.random.Generator,
 ) -> Registration:
     """The registration that most matches agree on in plan, with its heights judged; not yet accepted or refused.
 
     `above_ground_m` (n,) are heights of the matches above the model's ground; the other arguments are those of
-    `register_best`.
+    `register_hypothesis`.
     """
     plan, east_north = matches.xyz_level[:, :2], matches.xyz_enu[:, :2]
-    limit = inlier_limit_m(reference.grid.pixel_m, options)
+    limit = inlier_limit_m(reference.grid.pixel_m, steps.register)
     try:
         fit = fit_plan(plan, east_north, above_ground_m, inlier_m=limit, rng=rng)
-        _, up = warp_to_grid(render, flat_transform(fit), reference.grid, min_confidence)
+        _, up = warp_to_grid(render, flat_transform(fit), reference.grid, steps.min_confidence)
         heights, verdict = _heights(up, reference, prior.calibration)
-        tilt_deg = min(options.tilt_sigma_deg, max(prior.tilt_sigma_deg, MIN_TILT_SIGMA_DEG))
+        tilt_deg = min(steps.register.tilt_sigma_deg, max(prior.tilt_sigma_deg, MIN_TILT_SIGMA_DEG))
         return place_on_map(matches, fit, heights, verdict, above_ground_m, tilt_sigma_deg=tilt_deg, rng=rng)
     except (TooFewMatches, DegenerateGeometry) as error:
         reason = f"no transform: {error}"

@@ -158,7 +158,7 @@ class Dsm:
         return up.astype(np.float32)
 
     def pixel_m(self, frame: EnuFrame) -> float:
-        return float(np.sqrt(abs(np.linalg.det(self.raster.pixel_sides_m(frame)))))
+        return self.raster.pixel_m(frame)
 
 
 def agreed_datum(dsm: MapRaster, stated: str | None) -> str:

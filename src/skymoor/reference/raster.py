@@ -134,6 +134,10 @@ class MapRaster:
         xy = frame.enu_from_lla(lonlat[:, 1], lonlat[:, 0], frame.height_m)[:, :2]
         return np.array([xy[0] - xy[1], xy[2] - xy[3]])
 
+    def pixel_m(self, frame: EnuFrame) -> float:
+        """Side in metres of a square as large as a pixel at the origin of a frame."""
+        return float(np.sqrt(abs(np.linalg.det(self.pixel_sides_m(frame)))))
+
 
 @contextmanager
 def opened(path: Path) -> Iterator[DatasetReader]:

@@ -116,8 +116,7 @@ def _grid(frame: EnuFrame, ortho: MapRaster, outline: Array, max_pixels: float, 
     """North-up grid of the outline's bounding box."""
     plan = frame.enu_from_lla(outline[:, 1], outline[:, 0], frame.height_m)[:, :2]
     (west, south), (east, north) = plan.min(axis=0), plan.max(axis=0)
-    own = float(np.sqrt(abs(np.linalg.det(ortho.pixel_sides_m(frame)))))
-    pixel = max(own, pixel_m or 0.0, float(np.sqrt((east - west) * (north - south) / max_pixels)))
+    pixel = max(ortho.pixel_m(frame), pixel_m or 0.0, float(np.sqrt((east - west) * (north - south) / max_pixels)))
     shape = round((north - south) / pixel), round((east - west) / pixel)
     if min(shape) < MIN_SIDE_PX:
         raise InputError(

@@ -225,11 +225,9 @@ def _judged(fit: _Robust, east_north: Array, model: Array, target: Array, blur: 
     # The jackknife keeps the weights, which would change with the solution (Huber, Robust Statistics, 1981).
     covariance = covariance * np.outer(growth, growth) / fit.slope**2
     scale = float(fit.solution[3])
-    covariance[3, 3] += (scale * _dilution(design, model, target, fit.weights)) ** 2
-    relief = [
-        float(np.sqrt(np.average(_off_plane(design, x, fit.weights) ** 2, weights=fit.weights)))
-        for x in (model, target)
-    ]
+    off_plane = [_off_plane(design, values, fit.weights) for values in (model, target)]
+    covariance[3, 3] += (scale * _dilution(off_plane, fit.weights)) ** 2
+    relief = [float(np.sqrt(np.average(values**2, weights=fit.weights))) for values in off_plane]
     slope, offset = fit.solution[:2], fit.solution[2] - model.mean()
     centre = np.array([*east_north.mean(axis=0), model.mean()])
     return HeightFit(
@@ -271,12 +269,12 @@ def _jackknife(
     return n, (n - 1) / n * off.T @ off
 
 
-def _dilution(design: Array, model: Array, target: Array, weights: Array) -> float:
+def _dilution(off_plane: list[Array], weights: Array) -> float:
     """Relative uncertainty of the scale by noise of the model's own heights, which flattens a regression on them.
 
     The inverse regression is too steep by as much as the correlation of both lies below 1: half of that.
     """
-    (mm, mt), (_, tt) = np.cov([_off_plane(design, x, weights) for x in (model, target)], aweights=weights)
+    (mm, mt), (_, tt) = np.cov(off_plane, aweights=weights)
     r = mt / np.sqrt(mm * tt) if mm > 0 and tt > 0 else 0.0
     return float(np.log(1 / r) / 2) if r >= LEAST_CORRELATION else 0.0
 

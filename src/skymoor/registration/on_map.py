@@ -38,7 +38,7 @@ class _Vertical:
 
 
 def flat_transform(fit: PlanFit) -> Similarity:
-    """ENU from level with neither tilt nor offset in height: what heights are compared with."""
+    """Target from source of a similarity in plan, with neither tilt nor offset in height."""
     turn = Rotation.from_euler("z", fit.azimuth_rad).as_matrix()
     return Similarity(fit.scale, turn, np.array([fit.shift.real, fit.shift.imag, 0.0]))
 
@@ -72,7 +72,7 @@ def place_on_map(
     vertical = _vertical(heights, verdict, points[plan.inliers].mean(axis=0), extent_m, np.radians(tilt_sigma_deg))
     tilted = _tilted(flat, vertical)
     fit = plan.refitted(tilted.apply(matches.xyz_level)[:, :2], matches.xyz_enu[:, :2], above_ground_m)
-    transform = _corrected(fit) @ tilted
+    transform = flat_transform(fit) @ tilted
     model = transform.apply(matches.xyz_level)
     centre = np.average(model, axis=0, weights=fit.weights)
     raised = np.nan_to_num(above_ground_m) if fit.lean else None
@@ -126,12 +126,6 @@ def _tilted(flat: Similarity, vertical: _Vertical) -> Similarity:
     turn = Rotation.from_rotvec([north, -east, 0.0]).as_matrix()
     centre = vertical.centre
     return Similarity(1.0, turn, centre + [0.0, 0.0, vertical.offset_m] - turn @ centre) @ flat
-
-
-def _corrected(fit: PlanFit) -> Similarity:
-    """The correction in plan of a model that is nearly in place, with its scale about the origin's height."""
-    turn = Rotation.from_euler("z", fit.azimuth_rad).as_matrix()
-    return Similarity(fit.scale, turn, np.array([fit.shift.real, fit.shift.imag, 0.0]))
 
 
 def _joined(in_plan: Array, vertical: _Vertical, centre: Array) -> Array:

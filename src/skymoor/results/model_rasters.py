@@ -16,11 +16,10 @@ from skymoor.geometry import Similarity
 from skymoor.pipeline.job import ComponentResult
 from skymoor.pipeline.overlay import render_bounds, warp_confidence, warp_to_grid
 from skymoor.results.formats import geotiffs, pointcloud_las
+from skymoor.results.formats.raster import INTERPOLATED, UNKNOWN
 from skymoor.store import Store
 from skymoor.types import Array, Array32, Image, Mask, Progress, Reference, Render, no_progress
 
-FILLED, UNKNOWN = 0, 255
-"""Confidence of pixels that were interpolated, and of those with no value; 1 to 100 is percent."""
 WORTH = 0.05  # confidence that widens the rasters; less is written within their bounds
 MAX_PIXELS = 25e6
 GROUND_STEP_PX = 3  # ground photos see the same wall often: a ninth of their pixels is enough for the cloud
@@ -64,7 +63,7 @@ def model_rasters(
     holes = small_holes(np.isfinite(height), HOLE_M2 / grid.pixel_m**2)
     if holes.any():
         rgb, height = _filled(rgb, height, holes, 0.5 * np.sqrt(HOLE_M2) / grid.pixel_m)
-        confidence[holes] = FILLED
+        confidence[holes] = INTERPOLATED
     progress(len(views) + 1, len(views) + 1)
     return ModelRasters(grid, rgb, height, confidence)
 

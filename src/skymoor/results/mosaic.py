@@ -103,7 +103,7 @@ def _lookup(raster: MapRaster, grid: Grid, frame: EnuFrame) -> tuple[Array32, Ar
     lla = frame.lla_from_enu(np.column_stack([plan, np.zeros(len(plan))]))
     px = raster.px_from_lonlat(lla[:, 1::-1])
     # Thinned out by block means, or a fine raster would turn to noise on a coarse grid.
-    ratio = grid.pixel_m / max(1e-6, float(np.sqrt(abs(np.linalg.det(raster.pixel_sides_m(frame))))))
+    ratio = grid.pixel_m / max(1e-6, raster.pixel_m(frame))
     step = max(1, int(ratio))
     return (px / step - 0.5).astype(np.float32).reshape(*grid.shape, 2), lla, (step, step)
 

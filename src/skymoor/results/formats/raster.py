@@ -23,7 +23,9 @@ from skymoor.results.formats._crs import MapFrame
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-NODATA_M, UNKNOWN, INTERPOLATED = -9999.0, 255, 0
+NODATA_M = -9999.0
+INTERPOLATED, UNKNOWN = 0, 255
+"""Confidence of pixels that were interpolated, and of those with no value; 1 to 100 is percent."""
 LATTICE_PX = 32
 BLOCK_ROWS = 16 * LATTICE_PX
 HEIGHT_STEP_M = 100.0
