@@ -120,9 +120,7 @@ def registered_in(
     scales = {"min_scale": px / SCALE_RANGE, "max_scale": px * SCALE_RANGE}
     sized = ReferencePyramid(target)
     renders = [render, *(as_render(decoy, render.view) for decoy in make_decoys(picture, DECOYS, rng))]
-    places = []
-    for one in renders:
-        places.append(search_in(sized, as_raster(one), **scales, options=SEARCH, progress=no_progress))
+    places = [search_in(sized, as_raster(one), **scales, options=SEARCH, progress=no_progress) for one in renders]
     if not places[0]:
         return Registration(registered=False, reason="too small", enu_from_level=None), []
     tried = [

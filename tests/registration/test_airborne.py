@@ -175,6 +175,16 @@ def test_errors_that_are_alike_far_around_are_noticed(reach_m: float) -> None:
     assert np.mean(np.array(squared) < 6.25) > 0.7  # of 90 %
 
 
+def test_matches_without_a_height_are_no_inliers() -> None:
+    matches = planted(seed=8)
+    xyz_enu = matches.xyz_enu.copy()
+    xyz_enu[::4, 2] = np.nan
+    found = registered(replace(matches, xyz_enu=xyz_enu))
+    assert found.registered and found.enu_from_level is not None and found.inliers is not None
+    assert_similarity_near(found.enu_from_level, TRUTH, rot_deg=0.3, trans_m=0.15, scale_ppm=3000)
+    assert not found.inliers[::4].any() and 560 < found.n_inliers <= 600
+
+
 def test_a_transform_from_elsewhere_states_its_own_residuals() -> None:
     matches = planted(seed=6)
     found = registered(matches)

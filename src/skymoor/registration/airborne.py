@@ -57,16 +57,18 @@ def register(
 ) -> Registration:
     """The similarity that most matches agree on, its covariance and its residuals; not yet accepted or refused.
 
-    `registered` is False only where no transform could be estimated. The covariance is the slowest part; in a
-    search it can be left out, see `with_covariance_of`.
+    `registered` is False only where no transform could be estimated. Matches without a height, as `lift` leaves them
+    where the reference has none, are no inliers. The covariance is the slowest part; in a search it can be left out,
+    see `with_covariance_of`.
     """
     options = options or RegisterOptions()
     n = len(matches)
     inlier_m = inlier_limit_m(reference_pixel_m, options)
     try:
-        consensus = ransac_similarity(matches.xyz_level, matches.xyz_enu, inlier_m=inlier_m, rng=rng)
+        known = matches.take(np.isfinite(matches.xyz_enu).all(axis=1))
+        consensus = ransac_similarity(known.xyz_level, known.xyz_enu, inlier_m=inlier_m, rng=rng)
         inliers = consensus.inliers
-        source, target = matches.xyz_level[inliers], matches.xyz_enu[inliers]
+        source, target = known.xyz_level[inliers], known.xyz_enu[inliers]
         sigma_m = _spread(consensus.transform.apply(source) - target)
         transform, _, _ = refine_similarity(
             source, target, consensus.transform, sigma_m=sigma_m, tilt_sigma_deg=options.tilt_sigma_deg
