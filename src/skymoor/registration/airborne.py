@@ -65,7 +65,7 @@ def register(
     n = len(matches)
     inlier_m = inlier_limit_m(reference_pixel_m, options)
     try:
-        known = matches.take(np.isfinite(matches.xyz_enu).all(axis=1))
+        known = matches.take(np.flatnonzero(np.isfinite(matches.xyz_enu).all(axis=1)))
         consensus = ransac_similarity(known.xyz_level, known.xyz_enu, inlier_m=inlier_m, rng=rng)
         inliers = consensus.inliers
         source, target = known.xyz_level[inliers], known.xyz_enu[inliers]
