@@ -124,3 +124,22 @@ def test_without_heights_the_height_channels_are_unknown() -> None:
 def test_a_uniform_picture_has_no_channels() -> None:
     channels = make_channels(raster(np.full((*SHAPE, 3), 90, np.uint8), np.zeros(SHAPE, np.float32)), PLAIN)
     assert np.abs(channels.values).max() < 0.05
+
+
+def test_scattered_holes_leave_the_rest_known() -> None:
+    rgb, rng = noise_picture(SHAPE), np.random.default_rng(3)
+    whole = make_channels(raster(rgb), PLAIN)
+    mask = np.ones(SHAPE, bool)
+    for v, u in rng.integers(3, SHAPE[0] - 3, (600, 2)):  # a hole in every six by six pixels
+        mask[v : v + 2, u : u + 2] = False
+    holed = make_channels(Raster(np.where(mask[..., None], rgb, 0).astype(np.uint8), mask), PLAIN)
+    assert holed.known[0].mean() > 0.9 * whole.known[0].mean()
+    assert agreement(holed.values[:4], whole.values[:4]) > 0.7
+
+
+def test_large_holes_are_unknown_with_their_border() -> None:
+    mask = np.ones(SHAPE, bool)
+    mask[60:90, 60:90] = False
+    known = make_channels(Raster(noise_picture(SHAPE), mask), PLAIN).known[0]
+    assert not known[58:92, 58:92].any()
+    assert known[56, 56] == 1

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from skymoor.types import Array32, Image, Mask, Raster
 
@@ -35,6 +36,9 @@ class ChannelOptions:
     slope: float = 0.5
     height_weight: float = 1.0
 
+
+HOLE_PX = 2
+"""Half width of the widest holes in a mask that are interpolated: about the resolution of the channels."""
 
 N_COLOUR = 4
 """Channels 0 to 3 hold the colour's angles (2, 2, 4, 4), channels 4 and 5 the slope."""
@@ -125,8 +129,19 @@ def _fill(values: Array32, mask: Mask) -> Array32:
 
 
 def _shrink(mask: Mask, px: int) -> Array32:
-    padded = cv2.erode(mask.astype(np.uint8), np.ones((2 * px + 1, 2 * px + 1), np.uint8), borderValue=0)
-    return np.asarray(padded, dtype=np.float32)
+    """The mask (h, w) without its border of `px` pixels; scattered holes, which `_fill` interpolates, have no border.
+
+    Otherwise an orthophoto with a hole every few pixels, as stereo leaves them, would not be known anywhere.
+    """
+    closing = _square(HOLE_PX)
+    border = 2 * HOLE_PX
+    padded = np.pad(mask.astype(np.uint8), border)  # closing at the image's border, where OpenCV counts all as known
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, closing)[border:-border, border:-border]
+    return np.asarray(cv2.erode(closed, _square(px), borderValue=0), dtype=np.float32)
+
+
+def _square(px: int) -> NDArray[np.uint8]:
+    return np.ones((2 * px + 1, 2 * px + 1), np.uint8)
 
 
 def _blur(values: Array32, sigma: float) -> Array32:
