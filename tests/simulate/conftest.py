@@ -17,7 +17,7 @@ from skymoor.simulate.light.pages import Pages
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import Label, Part, cuboid, join, quads, rectangle
 from skymoor.simulate.options import SiteOptions
-from skymoor.simulate.plan import Building, Date
+from skymoor.simulate.plan import Building, Date, Strip
 from skymoor.simulate.world import World
 
 Array = NDArray[np.float64]
@@ -30,6 +30,7 @@ BLOCKS = (  # name, east, north, heading, length, width, storeys
     ("north", 4.0, 34.0, 75.0, 16.0, 10.0, 1),
     ("south", 2.0, -34.0, 0.0, 18.0, 10.0, 2),
 )
+ROAD = ((-45.0, 19.5), (45.0, 19.5))
 TREE = (-8.0, -8.0, 7.0, 2.5)  # east, north, height, crown radius
 
 
@@ -45,6 +46,7 @@ class BlockWorld:
         return SimpleNamespace(
             buildings=buildings[:3],
             distractors=buildings[3:],
+            strips=(Strip(ROAD, 6.0, "road"),),
             trees=np.array([TREE]),
             water_up=None,
             walked=("west", "east"),

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 from skymoor.errors import InputError
@@ -36,6 +36,13 @@ class SiteOptions:
         look_alikes: "facades" repeats the bays of each facade; "twins" also builds one building twice.
         depths: write the true depth of every photo.
         labels: write what every pixel of every photo shows.
+        conditions: of the ground photos and facades. "real" draws a phone, a dash camera or cameras on poles for
+            each group, walks with gaps and quick turns, photos blurred by motion and skewed by the rolling shutter,
+            repeated, glazed and plain facades, half of those walked in shade, with trees, hedges and cars before
+            them, and another season than in the air.
+        flight: "orbits" looks straight down and from all sides at 45 degrees or steeper; "grid" is a flight for mapping
+            at 60 to 100 m.
+        tilt_deg: of the cameras of a grid, forward from nadir.
     """
 
     preset: Preset = "office-park"
@@ -56,11 +63,24 @@ class SiteOptions:
     look_alikes: Literal["none", "facades", "twins"] = "none"
     depths: bool = False
     labels: bool = False
+    conditions: Literal["easy", "real"] = "easy"
+    flight: Literal["orbits", "grid"] = "orbits"
+    tilt_deg: float = 15.0
 
     @property
     def key(self) -> int:
         """The seed of the random streams: presets of one seed have nothing in common."""
         return zlib.crc32(f"{self.preset} {self.seed}".encode())
+
+    @property
+    def real(self) -> bool:
+        """Whether ground photos and facades are as in the real world."""
+        return self.conditions == "real"
+
+    @property
+    def written(self) -> dict[str, object]:
+        """The options as truth.json holds them: a site made before a later option existed stays the same site."""
+        return {name: value for name, value in asdict(self).items() if LATER.get(name) != value}
 
     def __post_init__(self) -> None:
         for name, (low, high) in BOUNDS.items():
@@ -83,4 +103,6 @@ BOUNDS = {
     "ce90_m": (1e-6, 100),
     "le90_m": (1e-6, 100),
     "off_nadir_deg": (0, 60),
+    "tilt_deg": (5, 25),
 }
+LATER = {"conditions": "easy", "flight": "orbits", "tilt_deg": 15.0}  # options of later versions, with their defaults

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -17,6 +17,10 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 Season = Literal["summer", "autumn", "winter"]
+SEASONS: tuple[Season, ...] = ("summer", "autumn", "winter")
+SUN_UP_DEG = {"summer": (25.0, 45.0), "autumn": (18.0, 32.0), "winter": (14.0, 24.0)}  # morning or afternoon
+
+Facade = Literal["windows", "glass", "plain"]
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,7 @@ class Building:
         fine: windows and doors are modelled and textures fine; otherwise they are painted, coarsely.
         repeated: each bay of a facade looks like the next.
         water_up: level of the water that it stands in.
+        facade: "glass" is glazed from floor to floor and reflects, "plain" has few windows.
     """
 
     name: str
@@ -70,6 +75,7 @@ class Building:
     fine: bool = True
     repeated: bool = False
     water_up: float | None = None
+    facade: Facade = "windows"
 
     @property
     def walls_m(self) -> float:
@@ -138,7 +144,10 @@ def place_of(options: SiteOptions) -> EnuFrame:
 
 
 def dates_of(options: SiteOptions) -> Dates:
-    """A summer's morning in the air, its afternoon on the ground, and an autumn or winter's day from space."""
+    """A summer's morning in the air, its afternoon on the ground, and an autumn or winter's day from space.
+
+    Under real conditions months lie between air and ground, and the sun on the ground stands east or west.
+    """
     rng = stream(options.key, "dates")
     southern = place_of(options).lat_deg < 0
 
@@ -148,8 +157,18 @@ def dates_of(options: SiteOptions) -> Dates:
         return ((180.0 - azimuth_deg) % 360.0 if southern else azimuth_deg), elevation_deg
 
     season: Season = "winter" if rng.uniform() < 0.4 else "autumn"
-    return Dates(
+    dates = Dates(
         airborne=Date("airborne", "summer", *sun((130.0, 170.0), (45.0, 58.0)), haze=0.0003),
         ground=Date("ground", "summer", *sun((220.0, 260.0), (25.0, 40.0)), haze=0.0003),
         satellite=Date("satellite", season, *sun((150.0, 210.0), (28.0, 45.0))),
     )
+    if not options.real:
+        return dates
+    later = SEASONS[int(rng.integers(len(SEASONS)))]
+    side = ((105.0, 150.0), (210.0, 255.0))[int(rng.integers(2))]
+    ground = Date("ground", later, *sun(side, SUN_UP_DEG[later]), haze=0.0003)
+    flown: Season = "summer" if later != "summer" else "autumn"
+    airborne = (
+        dates.airborne if flown == "summer" else Date("airborne", flown, *sun((140.0, 200.0), (28.0, 40.0)), 3e-4)
+    )
+    return replace(dates, airborne=airborne, ground=ground)

@@ -19,6 +19,7 @@ from PIL import Image as PillowImage
 from skymoor.errors import InputError
 from skymoor.geo import EnuFrame
 from skymoor.geometry import Intrinsics, Similarity, umeyama
+from skymoor.simulate.capture.carriers import carrier_of
 from skymoor.simulate.capture.shots import Shot, airborne_shots, ground_shots, security_shots
 from skymoor.simulate.light.photo import take_photo, true_depth, true_labels
 from skymoor.simulate.mesh import stream
@@ -29,7 +30,6 @@ from skymoor.types import Camera, Component, Progress, no_progress
 
 Array = NDArray[np.float64]
 
-JPEG_QUALITY = 93
 SCRATCH = ".unfinished"  # within the site's folder, where files are written before they get their place
 REFERENCE = ("reference/ortho.tif", "reference/dsm.tif")
 CAMERA_COLUMNS = (
@@ -80,6 +80,8 @@ def write_site(world: World, folder: Path, *, progress: Progress = no_progress) 
     shots = [*airborne_shots(world), *ground_shots(world), *security_shots(world)]
     _once(site, "truth.csv", lambda path: path.write_text(_truth_csv(site, shots), encoding="utf-8"))
     _once(site, "truth_cameras.csv", lambda path: path.write_text(_cameras_csv(site, shots), encoding="utf-8"))
+    if world.options.real:
+        _once(site, "truth_photos.csv", lambda path: path.write_text(_photos_csv(shots), encoding="utf-8"))
     for done, shot in enumerate(shots):
         progress(done, len(shots) + 2)
         _write_photo(world, site, shot)
@@ -126,15 +128,19 @@ def _complete(site: Site) -> bool:
 
 
 def _truth(world: World, site: Site) -> dict[str, object]:
-    frame = site.frame
-    return {
-        "options": asdict(world.options),
-        "seed": world.options.seed,
+    frame, options = site.frame, world.options
+    truth: dict[str, object] = {
+        "options": options.written,
+        "seed": options.seed,
         "enu_origin": {"lat": frame.lat_deg, "lon": frame.lon_deg, "height": frame.height_m},
         "bias_m": site.bias_m.tolist(),
         "covariance": site.covariance.tolist(),
-        "dates": asdict(dates_of(world.options)),
+        "dates": asdict(dates_of(options)),
     }
+    if options.real:
+        groups = range(options.groups)
+        truth["groups"] = {chr(ord("a") + group): asdict(carrier_of(options, group)) for group in groups}
+    return truth
 
 
 def _write_photo(world: World, site: Site, shot: Shot) -> None:
@@ -145,8 +151,8 @@ def _write_photo(world: World, site: Site, shot: Shot) -> None:
 
     def photo(path: Path) -> None:
         rng = stream(options.key, "photo", camera.image)
-        pixels = take_photo(world.scene(date), camera, shot.sensor, rng, samples=options.samples)
-        PillowImage.fromarray(pixels).save(path, format="JPEG", quality=JPEG_QUALITY)
+        pixels = take_photo(world.scene(date), camera, shot.sensor, rng, samples=options.samples, motion=shot.motion)
+        PillowImage.fromarray(pixels).save(path, format="JPEG", quality=shot.sensor.quality)
 
     def depth(path: Path) -> None:
         with path.open("wb") as file:
@@ -216,6 +222,19 @@ def _cameras_csv(site: Site, shots: Sequence[Shot]) -> str:
         numbers = (*lens, *place.tolist(), *shot.camera.centre.tolist(), *pose.quaternion_wxyz.tolist())
         rows.append([shot.camera.image, shot.set, shot.group, *(repr(x) for x in numbers)])
     return _table(CAMERA_COLUMNS, rows)
+
+
+def _photos_csv(shots: Sequence[Shot]) -> str:
+    """How the ground photos of groups were taken: piece of the walk, blur, readout, quality."""
+    rows = [
+        [
+            s.camera.image,
+            *map(repr, (s.piece, s.motion.blur_px, s.motion.readout_s, s.sensor.blur_px, s.sensor.quality)),
+        ]
+        for s in shots
+        if s.set == "ground" and s.group != "security"
+    ]
+    return _table(["image", "piece", "motion_blur_px", "readout_s", "defocus_px", "jpeg_quality"], rows)
 
 
 def _table(header: Sequence[str], rows: Sequence[list[str]]) -> str:

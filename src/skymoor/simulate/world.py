@@ -63,11 +63,18 @@ def _scene(world: World, date: Date) -> Scene:
     near = pages.add(paint_ground(plan, options.key, date.season, near_m, NEAR_TEXEL_M), NEAR_TEXEL_M)
     far = pages.add(paint_ground(plan, options.key, date.season, plan.extent_m, FAR_TEXEL_M), FAR_TEXEL_M)
     daily = [daily_parts(building, pages, date.name, ground=plan.land.height) for building in plan.buildings]
-    trunks, crowns = trees(plan.trees, plan.land, options.radius_m, date.season, options.key)
+    trunks, crowns = trees(plan.trees, plan.land, options.radius_m, date.season, options.key, fine=options.real)
     hedges = [
-        hedge(np.array([east, north]), heading, plan.land, date.season, stream(options.key, "hedge", k))
+        hedge(
+            np.array([east, north]),
+            heading,
+            plan.land,
+            date.season,
+            stream(options.key, "hedge", k),
+            tall=kind == "tall hedge",
+        )
         for k, (kind, east, north, heading) in enumerate(plan.props)
-        if kind == "hedge"
+        if kind in ("hedge", "tall hedge")
     ]
     ground = terrain(plan.land, near_m, plan.extent_m, near, far)
     solid = [ground, water(plan.land), fixed, *daily, trunks, cars(plan, options.key, date.name)]

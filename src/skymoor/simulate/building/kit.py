@@ -70,14 +70,18 @@ def make_kit(building: Building, pages: Pages) -> Kit:
     colours = palette_of(building)
     other = "brick" if building.wall in ("brick", "plaster") else "concrete"
     infill = wall_texture(other, rng, (110, 150), 0.02, wall_colour(building) * rng.uniform(0.7, 1.2))
+    grain_page, infill_page = pages.add(grain(rng), 0.02), pages.add(np.clip(infill, 0, 0.7), 0.02)
+    rooms = paint_rooms(rng, pages)
+    if building.facade == "glass":
+        pages.coated.add(rooms.page)
     return Kit(
         stone=colours.stone,
         metal=colours.metal,
         door=colours.door,
         gate=colours.gate,
-        grain=pages.add(grain(rng), 0.02),
-        infill=pages.add(np.clip(infill, 0, 0.7), 0.02),
-        rooms=paint_rooms(rng, pages),
+        grain=grain_page,
+        infill=infill_page,
+        rooms=rooms,
     )
 
 

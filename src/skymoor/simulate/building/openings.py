@@ -18,6 +18,9 @@ from skymoor.simulate.plan import Building
 Kind = Literal["window", "shop", "glazed", "steel", "roller", "dock", "balcony", "blocked"]
 Rng = np.random.Generator
 
+FEW_SHARE = 0.2  # of the windows, which plain facades have
+GLASS_EDGE_M = 0.17  # between panes and the borders of their bay and storey
+
 
 @dataclass(frozen=True)
 class Style:
@@ -115,9 +118,13 @@ def openings_of(building: Building, wall: int) -> tuple[Opening, ...]:
     length = float(wall_lengths(building)[wall])
     if length < 3.0:
         return ()
-    layout = _hall if is_hall(building) else _storeys
+    layout = _hall if is_hall(building) else _glazed if building.facade == "glass" else _storeys
     name = 0 if building.repeated else wall
-    return tuple(layout(building, role(building, wall), length, stream(building.looks, "openings", name)))
+    found = tuple(layout(building, role(building, wall), length, stream(building.looks, "openings", name)))
+    if building.facade != "plain":
+        return found
+    few = stream(building.looks, "few windows", wall).random(len(found)) < FEW_SHARE
+    return tuple(one for one, kept in zip(found, few, strict=True) if kept or one.kind not in ("window", "shop"))
 
 
 def bays(building: Building, length: float, rng: Rng) -> Array:
@@ -158,6 +165,20 @@ def _storeys(building: Building, face: str, length: float, rng: Rng) -> Iterator
             elif storey == 0 and shop and borders[bay + 1] - borders[bay] > 1.9:
                 column = "shop"
             yield from _cell(building, column, (borders[bay], borders[bay + 1]), storey, rng)
+
+
+def _glazed(building: Building, face: str, length: float, rng: Rng) -> Iterator[Opening]:
+    """Panes from floor to floor and from bay to bay, a glazed door in the middle of the front."""
+    style = replace(styles(building)[0], columns=2, transom=0.0, frame_m=0.05, sill_out_m=0.03, head="none")
+    borders = bays(building, length, rng)
+    borders[[0, -1]] += [0.2, -0.2]
+    for bay in range(len(borders) - 1):
+        middle, width = (borders[bay] + borders[bay + 1]) / 2, borders[bay + 1] - borders[bay] - 2 * GLASS_EDGE_M
+        for storey in range(building.storeys):
+            door = storey == 0 and face == "front" and bay == len(borders) // 2
+            low = 0.0 if door else storey * building.storey_m + GLASS_EDGE_M
+            tall = (storey + 1) * building.storey_m - 2 * GLASS_EDGE_M - low
+            yield _opening("glazed" if door else "shop", middle, width, low, tall, style)
 
 
 def _cell(building: Building, column: str, bay: tuple[float, float], storey: int, rng: Rng) -> Iterator[Opening]:

@@ -78,8 +78,8 @@ def ground_up(world: World, plan: Array) -> Array:
     return up if water is None else np.maximum(up, water)
 
 
-def free_places(world: World, scene: Scene, eyes: Array) -> Mask:
-    """Whether a person's eyes (n, 3) can be here: above ground or water, outside of everything, with room around."""
+def free_places(world: World, scene: Scene, eyes: Array, *, eye_m: tuple[float, float] = EYE_M) -> Mask:
+    """Whether eyes (n, 3) can be here: above ground or water by `eye_m`, outside of everything, with room around."""
     free = ~within_buildings(world, eyes[:, :2], margin_m=0.0)
     trees = np.asarray(world.plan.trees, np.float64).reshape(-1, 4)
     if len(trees):
@@ -91,7 +91,7 @@ def free_places(world: World, scene: Scene, eyes: Array) -> Mask:
     around /= np.linalg.norm(around, axis=1, keepdims=True)
     distance, _ = _cast(scene, eyes[index], np.broadcast_to(around, (len(index), *around.shape)))
     below, label = _cast(scene, eyes[index], np.broadcast_to([[0.0, 0.0, -1.0]], (len(index), 1, 3)))
-    standing = (below[:, 0] >= EYE_M[0]) & (below[:, 0] <= EYE_M[1]) & np.isin(label[:, 0], GROUND_LABELS)
+    standing = (below[:, 0] >= eye_m[0]) & (below[:, 0] <= eye_m[1]) & np.isin(label[:, 0], GROUND_LABELS)
     free[index] = standing & (distance >= BODY_M).all(axis=1)
     return free
 

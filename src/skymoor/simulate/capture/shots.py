@@ -11,10 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.errors import InputError
-from skymoor.geometry import Similarity
+from skymoor.geometry import Intrinsics, Similarity
 from skymoor.simulate.capture.aim import looking, make_lens, standing_at
+from skymoor.simulate.capture.carriers import carrier_of, sensors_of
 from skymoor.simulate.capture.footing import ground_up
+from skymoor.simulate.capture.grid import grid_poses
+from skymoor.simulate.capture.real_walks import real_walk_of
 from skymoor.simulate.capture.walks import walk_of, watching
+from skymoor.simulate.light.motion import STILL, Motion
 from skymoor.simulate.light.photo import Sensor
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import stream
@@ -34,21 +38,24 @@ NADIR_SHARE = 0.35
 class Shot:
     """A photo to be taken: its camera in the site's frame, named by its file relative to the site's folder.
 
-    `set` is "airborne" or "ground"; `group` is the letter of a walk, or "security", or empty.
+    `set` is "airborne" or "ground"; `group` is the letter of a walk, or "security", or empty. `piece` numbers the
+    pieces of a walk with gaps.
     """
 
     camera: Camera
     sensor: Sensor
     set: str
     group: str = ""
+    motion: Motion = STILL
+    piece: int = 0
 
 
 def airborne_shots(world: World) -> list[Shot]:
-    """Strips that look down, and rings that look at the site at 45 degrees or steeper; one camera for all."""
+    """A grid, or strips that look down and rings at 45 degrees or steeper; one camera for all."""
     options = world.options
     rng = stream(options.key, "airborne")
     lens = make_lens(options, rng, 0.865 * float(rng.uniform(0.99, 1.01)), (-0.045, 0.012, 0.0, 0.0))
-    poses = _flight(world, rng)
+    poses = _grid(world, lens, rng) if options.flight == "grid" else _flight(world, rng)
     # Exposure and colour follow the clouds: slow waves along the flight.
     t = np.linspace(0, 1, len(poses))
     waves = [np.sin(2 * np.pi * (rng.uniform(0.7, 1.8) * t + rng.uniform())) for _ in range(3)]
@@ -67,6 +74,9 @@ def ground_shots(world: World) -> list[Shot]:
     """
     shots = []
     for group in range(world.options.groups):
+        if world.options.real:
+            shots += _real_group(world, group)
+            continue
         walk = walk_of(world, group)
         rng = stream(world.options.key, "phone", group)
         letter = chr(ord("a") + group)
@@ -76,6 +86,19 @@ def ground_shots(world: World) -> list[Shot]:
             sensor = Sensor(exposure * gain, (red, 1.0, blue), noise=0.01)
             camera = Camera(f"ground/{letter}_{number:03d}.jpg", walk.lens, walk.poses[k])
             shots.append(Shot(camera, sensor, "ground", letter))
+    return shots
+
+
+def _real_group(world: World, group: int) -> list[Shot]:
+    """The photos of one group under real conditions."""
+    walk = real_walk_of(world, group)
+    rng = stream(world.options.key, "real photos", group)
+    letter = chr(ord("a") + group)
+    sensors = sensors_of(carrier_of(world.options, group), len(walk.poses), rng)
+    shots = []
+    for number, k in enumerate(rng.permutation(len(walk.poses))):
+        camera = Camera(f"ground/{letter}_{number:03d}.jpg", walk.lens, walk.poses[k])
+        shots.append(Shot(camera, sensors[k], "ground", letter, walk.motions[k], walk.pieces[k]))
     return shots
 
 
@@ -94,7 +117,8 @@ def security_shots(world: World) -> list[Shot]:
         k2, p1, p2 = float(rng.uniform(0.65, 0.8)) * k1**2, *(float(p) for p in rng.normal(0, 4e-4, 2))
         lens = make_lens(options, rng, float(rng.uniform(0.55, 0.67)), (k1, k2, p1, p2))
         taken = [shot.camera.centre for shot in shots]
-        walk = walk_of(world, k % max(options.groups, 1))
+        group = k % max(options.groups, 1)
+        walk = real_walk_of(world, group) if options.real else walk_of(world, group)
         pose = watching(world, walk, lens, rng, taken)
         tint = (float(rng.uniform(0.9, 1.1)), 1.0, float(rng.uniform(0.9, 1.1)))
         sensor = Sensor(float(rng.uniform(0.8, 1.25)), tint, blur_px=0.9, noise=0.025, vignetting=0.3)
@@ -116,6 +140,12 @@ def true_view(world: World, name: str) -> tuple[Camera, Scene]:
 def _cameras(world: World, folder: str) -> dict[str, Camera]:
     shots = airborne_shots(world) if folder == "airborne" else [*ground_shots(world), *security_shots(world)]
     return {shot.camera.image: shot.camera for shot in shots}
+
+
+def _grid(world: World, lens: Intrinsics, rng: np.random.Generator) -> list[Similarity]:
+    options = world.options
+    middle = np.array([0.0, 0.0, float(ground_up(world, np.zeros((1, 2)))[0])])
+    return grid_poses(rng, lens, options.airborne, middle, options.radius_m, options.tilt_deg)
 
 
 def _flight(world: World, rng: np.random.Generator) -> list[Similarity]:

@@ -21,6 +21,7 @@ from skymoor.simulate.capture.footing import (
     ground_up,
     within_buildings,
 )
+from skymoor.simulate.light.motion import Motion
 from skymoor.simulate.light.scene import Scene
 from skymoor.simulate.mesh import stream
 from skymoor.simulate.plan import Building, dates_of
@@ -52,6 +53,8 @@ class Walk:
     eye_m: float
     stations: tuple[tuple[int, float], ...]  # place on the circuit, metres from the wall
     poses: tuple[Similarity, ...] = ()
+    pieces: tuple[int, ...] = ()  # of a walk with gaps: the number of the piece that each pose belongs to
+    motions: tuple[Motion, ...] = ()
 
     @property
     def walls(self) -> Array:
@@ -74,7 +77,7 @@ def walk_of(world: World, group: int) -> Walk:
     lens = make_lens(options, rng, float(rng.uniform(0.70, 0.85)), distortion)
     eye_m = float(rng.uniform(1.55, 1.72))
     circuit, scene = circuit_round(building.outline_enu), world.scene(dates_of(options).ground)
-    eyes = _lifted(world, circuit.places(DISTANCES_M).reshape(-1, 2), eye_m)
+    eyes = lifted(world, circuit.places(DISTANCES_M).reshape(-1, 2), eye_m)
     free = free_places(world, scene, eyes)
     inward = np.repeat(azimuth_deg(-circuit.outward), len(DISTANCES_M))
     free[free] = clear_views(scene, lens, eyes[free], looking(inward[free], 5.0))
@@ -112,7 +115,7 @@ def _watching_from(
     # Every other camera looks for a wall first.
     wish = rng.uniform(size=len(plan)) + (np.arange(len(plan)) >= len(poles)) * (rng.uniform() < 0.5)
     plan = plan[np.argsort(-wish)][:MAX_TRIES]
-    eyes = _lifted(world, plan, rng.uniform(3.0, 5.0, len(plan)))
+    eyes = lifted(world, plan, rng.uniform(3.0, 5.0, len(plan)))
     aims = walk.walls[rng.choice(len(walk.walls), len(plan))]
     down, roll = rng.uniform(10.0, 25.0, len(plan)), rng.normal(scale=1.0, size=len(plan))
     rotations = looking(azimuth_deg(aims - plan), -down, roll)
@@ -163,7 +166,7 @@ def _held(world: World, walk: Walk, place: int, distance_m: float, rng: np.rando
     circuit = walk.circuit
     plan = circuit.wall[place] + distance_m * circuit.outward[place] + rng.normal(scale=0.08, size=2)
     lift = walk.eye_m + float(rng.normal(scale=0.04)) + (0.35 if rng.uniform() < 0.15 else 0.0)
-    eye = _lifted(world, plan[None], lift)
+    eye = lifted(world, plan[None], lift)
     up = np.degrees(np.arctan2(0.45 * walk.building.walls_m - walk.eye_m, distance_m))
     pitch, roll = float(np.clip(up, 2, 12) + rng.normal(scale=2.0)), float(rng.normal(scale=2.0))
     lead, wander = float(rng.choice(LEADS_M)), float(rng.normal(scale=4.0))
@@ -187,6 +190,6 @@ def _mounts(world: World, walk: Walk) -> Array:
     return mounts[~within_buildings(world, mounts, margin_m=0.5 * MOUNT_M)]
 
 
-def _lifted(world: World, plan: Array, height_m: float | Array) -> Array:
+def lifted(world: World, plan: Array, height_m: float | Array) -> Array:
     """Points (n, 3) above the ground or the water."""
     return np.column_stack([plan, ground_up(world, plan) + height_m])

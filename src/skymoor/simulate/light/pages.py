@@ -19,8 +19,12 @@ WHITE = 0
 
 @dataclass(eq=False)
 class Pages:
-    """Pictures in linear light, each with the size of its texels in metres. A page repeats beyond its borders."""
+    """Pictures in linear light, each with the size of its texels in metres. A page repeats beyond its borders.
 
+    `coated` are the pages that are seen through coated glass, which reflects more than plain glass.
+    """
+
+    coated: set[int] = field(default_factory=set)
     _levels: list[list[NDArray[np.uint32]]] = field(default_factory=list)
     _texel_m: list[float] = field(default_factory=list)
 
@@ -46,6 +50,7 @@ class Pages:
         """The same pages, to which others may be added."""
         other = Pages()
         other._levels, other._texel_m = list(self._levels), list(self._texel_m)
+        other.coated = set(self.coated)
         return other
 
     def colours(self, page: NDArray[np.integer], uv: Array32, footprint_m: Array32) -> Array32:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.geometry import Intrinsics
+from skymoor.simulate.light.motion import STILL, Motion, blurred, swept_rays
 from skymoor.simulate.light.scene import Scene
 from skymoor.types import Camera, Image
 
@@ -31,6 +32,7 @@ class Sensor:
         blur_px: standard deviation of lens and motion blur.
         noise: standard deviation of the noise of a mid-grey pixel, as a share of white.
         vignetting: share of the light that is lost in the corners.
+        quality: of the JPEG file.
     """
 
     exposure: float = 1.0
@@ -38,14 +40,27 @@ class Sensor:
     blur_px: float = 0.45
     noise: float = 0.008
     vignetting: float = 0.12
+    quality: int = 93
 
 
-def take_photo(scene: Scene, camera: Camera, sensor: Sensor, rng: np.random.Generator, *, samples: int = 2) -> Image:
+def take_photo(
+    scene: Scene,
+    camera: Camera,
+    sensor: Sensor,
+    rng: np.random.Generator,
+    *,
+    samples: int = 2,
+    motion: Motion = STILL,
+) -> Image:
     """The photo (h, w, 3), with `samples` by `samples` rays per pixel."""
-    i = camera.intrinsics
-    rays = _rays(i, samples) @ camera.cam_from_world.rotation.astype(np.float32)
-    light = scene.radiance(camera.centre, rays, pixel_rad=1 / (i.fx * samples))
+    i, in_camera = camera.intrinsics, _rays(camera.intrinsics, samples)
+    if motion.readout_s > 0:
+        light = scene.radiance(*swept_rays(camera, in_camera, motion), pixel_rad=1 / (i.fx * samples))
+    else:
+        rays = in_camera @ camera.cam_from_world.rotation.astype(np.float32)
+        light = scene.radiance(camera.centre, rays, pixel_rad=1 / (i.fx * samples))
     light = light.reshape(i.height, samples, i.width, samples, 3).mean(axis=(1, 3))
+    light = blurred(light, camera, motion)
     if sensor.blur_px > 0:
         light = cv2.GaussianBlur(light, (0, 0), sensor.blur_px)
     u, v = np.meshgrid((np.arange(i.width) + 0.5) / i.width * 2 - 1, (np.arange(i.height) + 0.5) / i.height * 2 - 1)

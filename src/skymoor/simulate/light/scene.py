@@ -28,7 +28,7 @@ Mask = NDArray[np.bool_]
 
 CHUNK = 1 << 16  # rays at a time: their arrays stay in the cache
 FINE_M = 0.04  # finer than this the pages have nothing, and the fine grain takes over
-GLASS_REFLECTANCE, WATER_REFLECTANCE = 0.08, 0.03
+GLASS_REFLECTANCE, COATED_REFLECTANCE, WATER_REFLECTANCE = 0.08, 0.35, 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,9 @@ class Scene:
         normal[:, :2] += np.where(wet[:, None], slopes, 0.06 * slopes)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         cosine = np.clip(-np.einsum("ij,ij->i", d[shiny], normal), 0.02, 1)
-        base = np.where(wet, WATER_REFLECTANCE, GLASS_REFLECTANCE).astype(np.float32)
+        coated = np.isin(self._all.page[hits.triangle[shiny]], list(self.pages.coated))
+        glass = np.where(coated, COATED_REFLECTANCE, GLASS_REFLECTANCE)
+        base = np.where(wet, WATER_REFLECTANCE, glass).astype(np.float32)
         share = (base + (1 - base) * (1 - cosine) ** 5)[:, None]
         away = d[shiny] + 2 * cosine[:, None] * normal
         away[:, 2] = np.where(wet, np.maximum(away[:, 2], 0.02), away[:, 2])

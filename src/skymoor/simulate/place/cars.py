@@ -16,15 +16,17 @@ PAINTS = ((0.62, 0.62, 0.61), (0.02, 0.02, 0.022), (0.12, 0.125, 0.13), (0.36, 0
 PAINT_SHARES = np.array([26, 20, 19, 15, 8, 6, 2, 2, 2]) / 100
 TYRE, DARK_GLASS = (0.02, 0.02, 0.02), (0.012, 0.014, 0.015)
 FULL_SHARE = 0.55  # of the bays of a car park
+PARKED_SHARE = 0.8  # of the places before facades
 
 
 def cars(plan: Plan, seed: int, day: str) -> Part:
-    """The cars of one day, in the bays of car parks and on the roads."""
+    """The cars of one day, in the bays of car parks, on the roads and parked before facades."""
     rng = stream(seed, "cars", day)
     places = [place for yard in plan.yards if yard.kind == "parking" for place in _bays(yard)]
     places = [place for place in places if rng.uniform() < FULL_SHARE]
     places += [place for yard in plan.yards if yard.kind == "concrete" for place in _strewn(yard, rng)]
     places += [place for strip in plan.strips if strip.kind == "road" for place in _driving(strip, plan.extent_m, rng)]
+    places += _parked(plan.parked, stream(seed, "parked", day))
     parts = []
     for east, north, heading in places:
         if plan.land.wet(east, north):
@@ -40,6 +42,19 @@ def _bays(yard: Yard) -> list[tuple[float, float, float]]:
     sides = (-1, 1) if yard.width_m > 15 else (-1,)
     inner = np.array([(x, side * (yard.width_m / 2 - 2.5)) for x in xs for side in sides]).reshape(-1, 2)
     return [(e, n, yard.heading_deg + 90) for e, n in placed(inner, yard.east, yard.north, yard.heading_deg)]
+
+
+def _parked(
+    places: tuple[tuple[float, float, float], ...], rng: np.random.Generator
+) -> list[tuple[float, float, float]]:
+    """Those that are taken today, no car quite where another one stood."""
+    taken = []
+    for east, north, heading in places:
+        here, shift = rng.uniform() < PARKED_SHARE, float(rng.normal(scale=0.3))
+        if here:
+            c, s = np.cos(np.radians(heading)), np.sin(np.radians(heading))
+            taken.append((float(east + shift * c), float(north + shift * s), heading))
+    return taken
 
 
 def _strewn(yard: Yard, rng: np.random.Generator) -> list[tuple[float, float, float]]:

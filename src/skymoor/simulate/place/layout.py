@@ -10,6 +10,7 @@ import numpy as np
 from skymoor.simulate.mesh import rectangle, stream
 from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.place.blocks import BLOCKS, Block
+from skymoor.simulate.place.fronts import NOTHING, put_fronts, varied
 from skymoor.simulate.place.gardens import plant_old_trees
 from skymoor.simulate.place.land import Land, make_land
 from skymoor.simulate.place.occupied import Occupied, grown, placed
@@ -29,7 +30,8 @@ class Plan:
 
     `buildings` are modelled in full and lie within the radius; `distractors` fill the rest up to `extent_m`.
     `walked` names the buildings that groups of ground photos go round. `trees` (n, 4): east, north, height, crown
-    radius. `props` are (kind, east, north, heading) of what stands outdoors for good.
+    radius. `props` are (kind, east, north, heading) of what stands outdoors for good; `parked` are (east, north,
+    heading) of parking places before facades.
     """
 
     land: Land
@@ -42,6 +44,7 @@ class Plan:
     props: tuple[tuple[str, float, float, float], ...]
     walked: tuple[str, ...]
     barren: float  # how much of the ground is gravel and soil; 0 is a lawn, 1 a yard
+    parked: tuple[tuple[float, float, float], ...] = ()
 
     @property
     def water_up(self) -> float | None:
@@ -58,18 +61,23 @@ def make_plan(options: SiteOptions) -> Plan:
     for strip in strips:
         ground.take_line(strip.line, strip.width_m + 5.0)
     buildings, yards = _core(options, land, ground, strips)
+    if options.real:
+        buildings = tuple(varied(building, options.key) for building in buildings)
     walked = _walked(buildings, options.groups)
     goals = [b for b in buildings if b.name in walked]
     outer, outer_yards = _surroundings(options, land, ground, strips, extent)
     if options.preset == "hillside":
         land = replace(land, terraces=tuple(terrace_of(b, b.up - FLOOR_M) for b in (*buildings, *outer)))
+    fronts = put_fronts(buildings, ground, options.key) if options.real else NOTHING
     if options.preset == "old-houses":
         trees = plant_old_trees(options, ground, extent, [*buildings, *outer], strips, goals)
     else:
         trees = plant_trees(options, land, ground, extent, goals)
-    props = put_props(options, land, ground)
+    trees = np.concatenate([trees, fronts.trees])
+    props = (*put_props(options, land, ground), *fronts.hedges)
     barren = 0.75 if options.preset == "industrial" else 0.0
-    return Plan(land, extent, buildings, outer, strips, (*yards, *outer_yards), trees, props, walked, barren)
+    every = (*yards, *outer_yards)
+    return Plan(land, extent, buildings, outer, strips, every, trees, props, walked, barren, fronts.parked)
 
 
 def _roads(options: SiteOptions, extent: float) -> tuple[Strip, ...]:

@@ -17,11 +17,18 @@ LEAF = {
 BARK = (0.12, 0.10, 0.08)
 EVERGREEN = 0.25  # share of the trees
 NEAR_LEAVES, FAR_LEAVES = 6500, 260
+TALL_HEDGE_M = 2.1
+SMALL_CROWN_M, FINE_TWIG_M, FINE_LEAVES = 2.3, 0.13, 8500
 LARGE_CROWN_M = 4.5  # radius, from which on twigs are larger, not more, for the triangles that they cost
 
 
-def trees(plan: Array, land: Land, radius_m: float, season: Season, seed: int) -> tuple[Part, Part]:
-    """Trunks and crowns of trees (n, 4): east, north, height, crown radius. Those beyond `radius_m` are plainer."""
+def trees(
+    plan: Array, land: Land, radius_m: float, season: Season, seed: int, *, fine: bool = False
+) -> tuple[Part, Part]:
+    """Trunks and crowns of trees (n, 4): east, north, height, crown radius. Those beyond `radius_m` are plainer.
+
+    With `fine`, near small crowns have twigs that can be looked at from close by.
+    """
     trunks, crowns = [], []
     base = land.height(plan[:, 0], plan[:, 1])
     for k, ((east, north, height, crown), up) in enumerate(zip(plan, base, strict=True)):
@@ -35,14 +42,18 @@ def trees(plan: Array, land: Land, radius_m: float, season: Season, seed: int) -
         count = (NEAR_LEAVES if near else FAR_LEAVES) // (6 if bare else 1)
         tones = LEAF["summer" if evergreen else season]
         size_m = _twig_m(crown, near=near, bare=bare)
+        if fine and near and crown < SMALL_CROWN_M:
+            size_m, count = FINE_TWIG_M, FINE_LEAVES // (6 if bare else 1)
         crowns.append(_leaves(blobs, count, np.array(tones[rng.integers(3)]), rng, size_m=size_m))
     return join(trunks), join(crowns)
 
 
-def hedge(middle: Array, heading_deg: float, land: Land, season: Season, rng: np.random.Generator) -> Part:
+def hedge(
+    middle: Array, heading_deg: float, land: Land, season: Season, rng: np.random.Generator, *, tall: bool = False
+) -> Part:
     """Clipped shrubs, five metres long."""
-    count = 1500
-    inside = rng.uniform(-0.5, 0.5, (count, 3)) * [5.0, 1.1, 1.3] + [0, 0, 0.55]
+    count, height = (2800, TALL_HEDGE_M) if tall else (1500, 1.3)
+    inside = rng.uniform(-0.5, 0.5, (count, 3)) * [5.0, 1.1, height] + [0, 0, height / 2 - 0.1]
     tone = np.array(LEAF["summer" if season == "summer" else "winter"][1])
     part = _cards(inside, 0.17, tone, rng)
     return part.placed(heading_deg, [*middle, float(land.height(*middle))])
