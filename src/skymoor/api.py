@@ -100,7 +100,7 @@ def register(
     with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
         jobs = _jobs(loaded, chosen, store, seed, progress, note)
         results = [register_airborne(jobs[0])]
-        results += register_ground_sets(jobs[1:], results[0])
+        results += register_ground_sets(jobs[1:], results[0], jobs[0].photos)
         folders = _folders(loaded)
         sets = [
             SetResult(job.name, at, job.photos.names, one) for job, at, one in zip(jobs, folders, results, strict=True)

@@ -25,7 +25,7 @@ from support.houses import centres, from_the_air, houses, walk_round
 
 SITE, HOUSE = 1, 0
 # Narrower than by default, for time only.
-QUICK = GroundOptions(min_scale=1.5, max_scale=2.1, finalists=2, pool=PoolOptions(keep=5))
+QUICK = GroundOptions(min_scale=1.5, max_scale=2.1, finalists=8, pool=PoolOptions(keep=5))
 
 
 @pytest.fixture(scope="module")

@@ -34,10 +34,11 @@ class Houses:
 
     @cached_property
     def _scene(self) -> tuple[RayCaster, NDArray[np.uint8], list[Array]]:
-        vertices, triangles, feet = [], [], []
+        vertices: list[Array] = []
+        triangles: list[list[int]] = []
+        feet: list[Array] = []
         for middle, half, height, heading in zip(self.middle, self.half, self.height, self.heading_deg, strict=True):
-            c, s = np.cos(np.radians(heading)), np.sin(np.radians(heading))
-            plan = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ np.array([[c, s], [-s, c]]) + middle
+            plan = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ turned(heading) + middle
             first = sum(map(len, vertices))
             vertices.append(np.vstack([np.column_stack([plan, np.full(4, z)]) for z in (0.0, height)]))
             for k in range(4):  # each wall two triangles, then the roof
@@ -65,6 +66,14 @@ class Houses:
                 column += width + int(rng.integers(6, 24))
         return wall
 
+    def tops(self, plan: Array) -> Array:
+        """Heights (...,) of the uppermost surface at plan positions (..., 2): roofs, and the ground at 0."""
+        up = np.zeros(plan.shape[:-1])
+        for middle, half, height, heading in zip(self.middle, self.half, self.height, self.heading_deg, strict=True):
+            own = (plan - middle) @ turned(heading).T
+            up = np.where((np.abs(own) <= half).all(axis=-1), np.maximum(up, height), up)
+        return up
+
     def photo(self, name: str, centre: Array, target: Array, lens: Intrinsics) -> DepthMap:
         """What a camera at `centre` sees that looks at `target`."""
         caster, walls, feet = self._scene
@@ -89,11 +98,26 @@ class Houses:
         return DepthMap(camera, depth, 0.005 * depth, np.full(u.shape, 3, np.uint8), rgb)
 
 
+def turned(heading_deg: float) -> Array:
+    """What turns row vectors (n, 2) counter-clockwise: points @ turned(30.0)."""
+    c, s = np.cos(np.radians(heading_deg)), np.sin(np.radians(heading_deg))
+    return np.array([[c, s], [-s, c]])
+
+
 def houses(seed: int) -> Houses:
     """Four boxes; no two seeds share a shape or a window."""
     rng = np.random.default_rng([seed, 1])
     middle = np.array([[-20, -20], [20, -20], [20, 20], [-20, 20]]) + rng.uniform(-3, 3, (4, 2))
     return Houses(middle, rng.uniform(6, 10, (4, 2)), rng.uniform(6, 11, 4), rng.uniform(0, 90, 4), seed)
+
+
+def site_with_an_l() -> Houses:
+    """A house of two wings, the first two boxes, whose inner corner is open to the north-east; three boxes around."""
+    heading = 20.0
+    long_wing = np.array([-14.0, -12.0])
+    middle = np.array([long_wing, long_wing + [-6.0, 8.0] @ turned(heading), [22, 16], [-22, 24], [20, -24]])
+    half = np.array([[10.0, 4.0], [4.0, 8.0], [7.0, 5.0], [6.0, 8.0], [9.0, 6.0]])
+    return Houses(middle, half, np.array([6.5, 6.5, 8, 7, 7.5]), np.array([heading, heading, 50, 10, 75]), seed=3)
 
 
 def from_the_air(world: Houses) -> list[DepthMap]:
@@ -115,6 +139,30 @@ def walk_round(world: Houses, house: int, count: int = 8) -> list[DepthMap]:
     for k, a in enumerate(start + np.linspace(-0.3, 1.8, count)):
         centre = np.array([*(middle + (15 + k % 3) * np.array([np.cos(a), np.sin(a)])), 1.6])
         photos.append(world.photo(f"walk{k}", centre, np.array([*middle, 3.5]), lens))
+    return photos
+
+
+def walk_round_the_l(world: Houses, count: int = 12) -> list[DepthMap]:
+    """Photos of all sides of the house of `site_with_an_l`, from 1.75 m above the ground."""
+    lens = Intrinsics(320, 240, 240.0, 240.0, 160.0, 120.0)
+    middle = world.middle[0] + [-3.0, 4.0] @ turned(world.heading_deg[0])
+    photos = []
+    for k, a in enumerate(np.radians(world.heading_deg[0]) + np.linspace(-3.0, 3.0, count)):
+        centre = np.array([*(middle + (16 + k % 3) * np.array([np.cos(a), np.sin(a)])), 1.75])
+        photos.append(world.photo(f"walk{k}", centre, np.array([*middle, 3.5]), lens))
+    return photos
+
+
+def nearly_straight_down(
+    world: Houses, target: Array, azimuth_deg: float, nadir_deg: Sequence[float], *, focal_px: float = 900.0
+) -> list[DepthMap]:
+    """Photos of `target` (3,) from 55 m, from this side of it and under these angles from the vertical."""
+    lens = Intrinsics(480, 360, focal_px, focal_px, 240.0, 180.0)
+    side, up_m = np.array([np.sin(np.radians(azimuth_deg)), np.cos(np.radians(azimuth_deg))]), 55.0 - target[2]
+    photos = []
+    for k, angle in enumerate(np.radians(nadir_deg)):
+        centre = target + [*(up_m * np.tan(angle) * side), up_m]
+        photos.append(world.photo(f"down{azimuth_deg:.0f}_{k}", centre, target, lens))
     return photos
 
 

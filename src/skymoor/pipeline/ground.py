@@ -13,17 +13,25 @@ from skymoor.densify import MetricScale, metric_scale_of_photos
 from skymoor.errors import DegenerateGeometry
 from skymoor.ground import Hypotheses, OneHypothesis, decide_jointly
 from skymoor.ground.tiles import CascadeOptions, ConsensusOptions, cascade, exhaustive, tile_px_for
-from skymoor.ground.walls import AirborneWalls, GroundOptions, check_ground_poses, search_ground, walls_of_components
+from skymoor.ground.walls import (
+    AirborneModel,
+    AirborneWalls,
+    GroundOptions,
+    check_ground_poses,
+    search_ground,
+    walls_of_components,
+)
 from skymoor.model import render_obliques
 from skymoor.orient import estimate_ground_gravity, level_from_gravity
 from skymoor.pipeline.airborne import densify_component, ground_of, reconstruct_set
 from skymoor.pipeline.job import ComponentResult, Job, MapHypothesis, or_else, refused
-from skymoor.types import Component, Registration, Render
+from skymoor.types import Component, Photos, Registration, Render
 
 T = TypeVar("T", GroundOptions, ConsensusOptions)
 
 CASCADE, EXHAUSTIVE = CascadeOptions().consensus, ConsensusOptions()
 """How matches of tiles become a similarity."""
+NO_FACADE = "the airborne photos show no facade; take some at a slant, 20 degrees from vertical or more, on all sides"
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +43,13 @@ class _Airborne:
     renders: Sequence[Render]
 
 
-def register_ground_sets(jobs: Sequence[Job], airborne: Sequence[ComponentResult]) -> list[list[ComponentResult]]:
+def register_ground_sets(
+    jobs: Sequence[Job], airborne: Sequence[ComponentResult], airborne_photos: Photos
+) -> list[list[ComponentResult]]:
     """Every component of every set of ground photos, registered to the airborne model or refused (section 3.4)."""
     if not jobs:
         return []
-    ready = _airborne([item for item in airborne if item.registration.registered], jobs[0])
+    ready = _airborne([item for item in airborne if item.registration.registered], airborne_photos, jobs[0])
     levelled = []
     for number, job in enumerate(jobs):
         choices = job.options.ground.reconstruct.stage_options(job.options.engines, shared_camera=False)
@@ -100,18 +110,23 @@ def _on_map(item: ComponentResult, found: Hypotheses) -> list[MapHypothesis]:
     return on_map
 
 
-def _airborne(bases: Sequence[ComponentResult], job: Job) -> _Airborne | None:
+def _airborne(bases: Sequence[ComponentResult], photos: Photos, job: Job) -> _Airborne | None:
     """What is needed of the airborne components; None where no one is registered."""
     if not bases:
         return None
     # The component of most photos is the best determined.
     base = max(bases, key=lambda item: len(item.component.cameras))
     renders = [] if job.options.ground.method == "walls" else _renders(base, job)
-    components = [(base.depths, base.registration.enu_from_level) for base in bases]
-    walls = job.store.stage(
-        "walls", walls_of_components, components, job.options.ground.walls, seed=job.seed, progress=job.track("walls")
-    )
+    largest_first = sorted(bases, key=lambda item: -len(item.component.cameras))
+    models = [_model(item) for item in largest_first if item.render is not None]
+    options, progress = job.options.ground.walls, job.track("walls")
+    walls = job.store.stage("walls", walls_of_components, models, photos, options, seed=job.seed, progress=progress)
     return _Airborne(base, walls, renders)
+
+
+def _model(base: ComponentResult) -> AirborneModel:
+    assert base.render is not None and base.registration.enu_from_level is not None
+    return AirborneModel(base.depths, base.component.cameras, base.render, base.registration.enu_from_level)
 
 
 def _renders(base: ComponentResult, job: Job) -> list[Render]:
@@ -163,6 +178,8 @@ def _search(item: ComponentResult, airborne: _Airborne, job: Job) -> Hypotheses:
         return _search_tiles(item, airborne, job)
     if airborne.walls is None:
         return OneHypothesis(refused(item.name, item.component, "the airborne model shows no surface").registration)
+    if not airborne.walls.facades:
+        return OneHypothesis(refused(item.name, item.component, NO_FACADE).registration)
     options, progress = _of_size(job.options.ground.walls, item), job.track(f"{item.name}: walls")
     rng = np.random.default_rng(job.seed)
     return job.store.stage(

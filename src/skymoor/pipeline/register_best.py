@@ -12,10 +12,10 @@ from skymoor.errors import DegenerateGeometry, TooFewMatches
 from skymoor.geo import sample
 from skymoor.match.align import match_hypothesis
 from skymoor.match.cyclic import CyclicOptions
+from skymoor.match.overlay import warp_to_grid
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.rasters import nadir_raster, reference_raster
 from skymoor.match.search import ImageHypothesis
-from skymoor.pipeline.overlay import warp_to_grid
 from skymoor.registration import (
     HeightFit,
     LiftOptions,

@@ -193,17 +193,20 @@ KINDS: dict[str, Kind] = {
         "the figure of the walls in the report shows what was compared.",
         spec=".1f",
     ),
-    "competing_contrast": Kind(
-        name="contrast over a competing hypothesis",
+    "chance_of_evidence": Kind(
+        name="chance of as much evidence elsewhere",
         scopes=("walls",),
-        at="least",
-        refusal="a competing hypothesis has contrast {second_contrast:.1f}, the best {value}; "
-        "at least {limit} is required",
-        meaning="The best hypothesis must have clearly more contrast than every other elsewhere; "
-        "bays and houses that repeat make several positions look alike.",
-        limit="at least ground.walls.acceptance.min_margin times the competing contrast",
-        remedy="Take photos that show where the repetition ends, such as the corner of a row of houses.",
-        spec=".1f",
+        at="most",
+        refusal="hypotheses elsewhere reach evidence {second_evidence:.1f}, the best {evidence:.1f}: one of as many "
+        "wrong ones does so with probability {value}; at most {limit} is allowed",
+        meaning="Agreement in elevation and in plan together must stand out from those of the hypotheses elsewhere, "
+        "which are wrong and show what chance reaches with the same photos.",
+        limit="at most ground.walls.acceptance.max_chance; with fewer hypotheses elsewhere than "
+        "ground.walls.acceptance.min_rivals the contrast decides alone",
+        remedy="Take photos that show where a repetition ends, such as the corner of a row of houses, "
+        "and airborne photos at a slant that show walls.",
+        spec=".2g",
+        unit="%",
     ),
     "min_camera_height": Kind(
         name="camera height above the ground",

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from skymoor.errors import DegenerateGeometry
 from skymoor.geo import Grid
 from skymoor.geometry import Similarity
+from skymoor.match.overlay import render_bounds, warp_confidence, warp_to_grid
 from skymoor.pipeline.job import ComponentResult
-from skymoor.pipeline.overlay import render_bounds, warp_confidence, warp_to_grid
 from skymoor.results.formats import geotiffs, pointcloud_las
 from skymoor.results.formats.raster import INTERPOLATED, UNKNOWN
 from skymoor.store import Store

@@ -15,10 +15,10 @@ from skymoor.engines.colmap import write_colmap
 from skymoor.geo import ce90_m, le90_m
 from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.geometry import Similarity
+from skymoor.match.overlay import warp_to_grid
 from skymoor.pipeline.job import ComponentResult
 from skymoor.pipeline.option_parser import option_values
 from skymoor.pipeline.options import MatchOptions, Options
-from skymoor.pipeline.overlay import warp_to_grid
 from skymoor.pipeline.site import Site
 from skymoor.registration import CameraAccuracy, camera_accuracy
 from skymoor.results.formats import (

@@ -69,9 +69,9 @@ def test_the_contrast_is_the_excess_over_perturbed_positions() -> None:
 
 
 def test_a_weak_hypothesis_needs_others_to_be_compared_with() -> None:
-    weak, far, farther = candidate(28), candidate(15, east_m=60), candidate(14, east_m=120)
-    assert decide_ground([weak, far, farther], PROBES).registered
-    assert not decide_ground([weak, far], PROBES).registered
+    weak, elsewhere = candidate(28), [candidate(11, east_m=60.0 * k) for k in range(1, 7)]
+    assert decide_ground([weak, *elsewhere], PROBES).registered
+    assert not decide_ground([weak, elsewhere[0]], PROBES).registered
     assert decide_ground([candidate(60)], PROBES).registered
 
 
@@ -81,9 +81,9 @@ def test_a_weak_hypothesis_needs_others_to_be_compared_with() -> None:
         ([], "no wall"),
         ([candidate(20)], "is below the minimum of 16"),
         ([candidate(30)], "is below the minimum of 16"),
-        ([candidate(50), candidate(45, east_m=60)], "a competing hypothesis has contrast"),
+        ([candidate(50), *(candidate(45, east_m=60.0 * k) for k in (1, 2, 3))], "hypotheses elsewhere reach evidence"),
         ([candidate(60, cells=3)], "inliers lie in 3 independent cells"),
-        ([replace(candidate(60), height_m=9.0)], "is 9 m; at most 2.6 m"),
+        ([replace(candidate(60), height_m=9.0)], "is 9 m; at most 8 m"),
         ([replace(candidate(60), blocked=0.9)], "90 % of the viewing rays"),
         ([replace(candidate(60), registration=Registration(False, "open", None))], "open"),
     ],
@@ -95,7 +95,7 @@ def test_doubtful_hypotheses_are_refused_with_their_reason(candidates: list[Refi
 
 
 def test_what_is_impossible_does_not_compete() -> None:
-    in_the_air = replace(candidate(70, east_m=80), height_m=7.0)
+    in_the_air = replace(candidate(70, east_m=80), height_m=12.0)
     through_walls = replace(candidate(65, east_m=40), blocked=0.4)
     found = decide_ground([in_the_air, through_walls, candidate(60)], PROBES)
     assert found.registered
@@ -118,3 +118,23 @@ def test_neighbouring_matches_are_one_cell() -> None:
     xyz = np.array([[0.1, 0.1, 0.1], [0.2, 0.3, 0.4], [0.1, 0.1, 5.0]])
     assert independent_cells(xyz, 2.0) == 2
     assert independent_cells(np.zeros((0, 3)), 2.0) == 0
+
+
+def test_evidence_grows_with_score_contrast_and_agreement_in_plan() -> None:
+    plain = candidate(40)
+    assert candidate(60).evidence > plain.evidence
+    assert replace(plain, perturbed_scores=()).evidence < plain.evidence
+    assert replace(plain, plan_score=6.0).evidence == pytest.approx(plain.evidence + 3.0)
+    # What is not known in plan, and what contradicts there, is no evidence.
+    assert replace(plain, plan_score=-4.0).evidence == plain.evidence
+
+
+def test_the_chance_of_the_evidence_falls_with_its_lead_over_hypotheses_elsewhere() -> None:
+    def chance(score: float) -> float:
+        rivals = [candidate(20 + k, east_m=60.0 * (k + 1)) for k in range(6)]
+        found = decide_ground([candidate(score), *rivals], PROBES)
+        return next(one.value for one in found.criteria if one.kind == "chance_of_evidence")
+
+    assert chance(26) > 0.2
+    assert chance(40) < chance(30) < chance(26)
+    assert chance(60) < 1e-3

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ground components on the airborne model by their walls."""
 
+from skymoor.ground.surface import Surface, surface_of
+from skymoor.ground.wall_planes import Wall, WallOptions, find_walls, transformed_wall
 from skymoor.ground.walls.airborne import (
+    AirborneModel,
     AirborneWalls,
     GroundOptions,
     airborne_walls,
@@ -35,7 +38,6 @@ from skymoor.ground.walls.pose_checks import (
     check_poses_on_walls,
 )
 from skymoor.ground.walls.search import search_ground
-from skymoor.ground.walls.surface import Surface, surface_of
 from skymoor.ground.walls.visibility import (
     HeightRaster,
     ViewRays,
@@ -44,10 +46,10 @@ from skymoor.ground.walls.visibility import (
     height_raster_of,
     view_rays_of,
 )
-from skymoor.ground.walls.walls import Wall, WallOptions, find_walls, transformed_wall
 
 __all__ = [
     "AcceptanceOptions",
+    "AirborneModel",
     "AirborneWalls",
     "Drift",
     "Facade",

@@ -14,20 +14,30 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from skymoor.densify import empty_depth_map
 from skymoor.engines.options import FIXED
 from skymoor.errors import DegenerateGeometry
+from skymoor.geo import Grid
 from skymoor.geometry import Similarity
+from skymoor.ground.plan_view import PlanSearchOptions, PlanTarget, plan_target
+from skymoor.ground.surface import surface_of
+from skymoor.ground.wall_planes import Wall, WallOptions, find_walls
 from skymoor.ground.walls.consensus import AcceptanceOptions, PoolOptions
 from skymoor.ground.walls.facade_pairs import FacadePairOptions
 from skymoor.ground.walls.facade_search import FacadeSearchOptions
 from skymoor.ground.walls.facades import Facade, FacadeOptions, facade_of
 from skymoor.ground.walls.refine import PerturbationOptions, RefineOptions
-from skymoor.ground.walls.surface import surface_of
+from skymoor.ground.walls.roof_edges import RoofEdgeOptions, SurfaceImage, roof_edge_walls, without_repeated
+from skymoor.ground.walls.roof_facades import RoofFacadeOptions, roof_facades
 from skymoor.ground.walls.visibility import HeightRaster, height_raster_of
-from skymoor.ground.walls.walls import WallOptions, find_walls
 from skymoor.match import CyclicOptions, DenseMatcher, StructuralMatcher
+from skymoor.match.overlay import render_bounds, warp_confidence, warp_to_grid
 from skymoor.registration import RegisterOptions
-from skymoor.types import DepthMap, Progress, no_progress
+from skymoor.registration.detail import averaged
+from skymoor.types import Camera, DepthMap, Photos, Progress, Render, no_progress
+
+WORTH = 0.05  # confidence of the render that widens its surface
+MEASURED = 0.2  # confidence from which a height is measured and not interpolated
 
 
 @dataclass(frozen=True)
@@ -38,31 +48,41 @@ class GroundOptions:
         pixel_m, ground_pixel_m: pixels of the orthophotos of airborne and of ground walls.
         searched_walls: largest walls of the ground model that are searched on all airborne ones.
         min_scale, max_scale: metres per unit of the ground model that are searched. A levelled component has the
-            cameras' height above the ground for its unit, but little ground is visible in front of a wall, so that the
-            unit may be off by half.
+            cameras' height above the ground for its unit: 0.5 to 8 m; little ground is visible in front of a wall.
         max_blocked: share of the viewing rays of a hypothesis that may cross walls.
         max_angle_deg, max_gap_m: a ground wall and an airborne wall this close are matched densely.
-        finalists: hypotheses that are refined with all photos.
+        finalists: hypotheses that are refined as a whole with all photos; those elsewhere than the best show chance.
+        matched: the best of these, which are refined with dense matches too.
         rounds: of that refinement, each from the end of the last one.
-        refine, perturbation: each of them is then refined as a whole, and compared with positions around.
+        screen, refine, perturbation: how finalists and matched hypotheses are refined as a whole, and compared with
+            positions around.
         min_kept: share of that agreement that must remain after the final fit to the matches.
-        walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register, facade_pairs, acceptance: of the
-            steps.
+        picture_px: long side of the photos that colour walls below roof edges.
+        plan_cell_m: of the search in plan.
+        edges, roof_facades, plan, walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register,
+            facade_pairs, acceptance: of the steps.
     """
 
     pixel_m: float = 0.2
     ground_pixel_m: float = 0.1
     searched_walls: int = 5
-    min_scale: float = 0.6
-    max_scale: float = 2.6
+    min_scale: float = 0.5
+    max_scale: float = 8.0
     max_blocked: float = field(default=0.1, metadata=FIXED)
     max_angle_deg: float = field(default=12.0, metadata=FIXED)
     max_gap_m: float = field(default=1.5, metadata=FIXED)
-    finalists: int = 4
+    finalists: int = 12
+    matched: int = 3
     rounds: int = field(default=2, metadata=FIXED)
     min_kept: float = field(default=0.7, metadata=FIXED)
+    screen: RefineOptions = field(default_factory=lambda: RefineOptions(trials=45, sizes=(2.5,)), metadata=FIXED)
     refine: RefineOptions = field(default_factory=RefineOptions, metadata=FIXED)
     perturbation: PerturbationOptions = field(default_factory=PerturbationOptions, metadata=FIXED)
+    picture_px: int = field(default=2000, metadata=FIXED)
+    plan_cell_m: float = field(default=0.75, metadata=FIXED)
+    edges: RoofEdgeOptions = field(default_factory=RoofEdgeOptions, metadata=FIXED)
+    roof_facades: RoofFacadeOptions = field(default_factory=RoofFacadeOptions, metadata=FIXED)
+    plan: PlanSearchOptions = field(default_factory=PlanSearchOptions, metadata=FIXED)
     walls: WallOptions = field(default_factory=WallOptions, metadata=FIXED)
     airborne_facades: FacadeOptions = field(default_factory=FacadeOptions, metadata=FIXED)
     ground_facades: FacadeOptions = field(
@@ -81,48 +101,104 @@ class GroundOptions:
 
 @dataclass(frozen=True, eq=False)
 class AirborneWalls:
-    """The target of ground components: walls with orthophotos, and heights seen from above, in ENU metres."""
+    """The target of ground components: walls with orthophotos, heights seen from above, and these in plan, in ENU."""
 
     facades: tuple[Facade, ...]
     heights: HeightRaster
+    plan: PlanTarget
+
+
+@dataclass(frozen=True, eq=False)
+class AirborneModel:
+    """A registered airborne component: depth maps, cameras and nadir render in its level frame, and where that is."""
+
+    maps_level: Sequence[DepthMap]
+    cameras: Sequence[Camera]
+    render: Render
+    enu_from_level: Similarity
 
 
 def airborne_walls(
     maps_enu: Sequence[DepthMap],
     options: GroundOptions | None = None,
     *,
+    surfaces: Sequence[SurfaceImage] = (),
+    pictures_enu: Sequence[DepthMap] = (),
     rng: np.random.Generator,
     progress: Progress = no_progress,
 ) -> AirborneWalls:
     """Prepare an airborne component, once for all ground components.
 
+    Walls come from the depth maps where these hold any, and from the roof edges of the surfaces seen from above.
+
+    Args:
+        maps_enu: depth maps.
+        options: see there.
+        surfaces: the same from above, the largest first.
+        pictures_enu: photos that colour the walls below roof edges; without depths, as fine as possible.
+        rng: for the walls of the depth maps.
+        progress: counts walls.
+
     Raises `DegenerateGeometry` when its depth maps show no surface from above.
     """
     options = options or GroundOptions()
     surface = surface_of(maps_enu)
+    heights = height_raster_of(surface)
     walls = find_walls(surface, options.walls, rng=rng)
+    roofs = [wall for one in surfaces for wall in roof_edge_walls(one, options.edges)]
+    edges = without_repeated(roofs, walls, options.edges)
     facades = []
     for done, wall in enumerate(walls):
         facades.append(facade_of(wall, maps_enu, options.pixel_m, options.airborne_facades))
-        progress(done + 1, len(walls))
-    return AirborneWalls(tuple(facades), height_raster_of(surface))
+        progress(done + 1, len(walls) + len(edges))
+    facades += roof_facades(edges, pictures_enu, heights, options.pixel_m, options.roof_facades)
+    progress(len(walls) + len(edges), len(walls) + len(edges))
+    return AirborneWalls(tuple(facades), heights, _plan(surfaces, heights, roofs, options.plan_cell_m))
+
+
+def _plan(surfaces: Sequence[SurfaceImage], heights: HeightRaster, edges: Sequence[Wall], cell_m: float) -> PlanTarget:
+    """The largest surface in plan, or the cells of heights without any."""
+    if not surfaces:
+        rows = heights.height.shape[0]
+        grid = Grid(heights.x0, heights.y0 + rows * heights.cell_m, heights.cell_m, heights.height.shape)
+        return plan_target(np.where(heights.seen, heights.height, np.nan)[::-1].astype(np.float32), grid, walls=edges)
+    largest = surfaces[0]
+    step = max(1, round(cell_m / largest.grid.pixel_m))
+    up, grid = averaged(largest.up, step), largest.grid
+    seen = averaged(largest.seen.astype(np.float32), step) > 0.5
+    return plan_target(up, Grid(grid.east0, grid.north0, step * grid.pixel_m, up.shape), seen=seen, walls=edges)
 
 
 def walls_of_components(
-    components: Sequence[tuple[Sequence[DepthMap], Similarity]],
+    models: Sequence[AirborneModel],
+    photos: Photos,
     options: GroundOptions | None = None,
     *,
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> AirborneWalls | None:
-    """`airborne_walls` of several components, of each its depth maps and ENU from their frame; None without surface."""
-    maps_enu = [
-        transformed_depth_map(depth_map, enu_from_level) for maps, enu_from_level in components for depth_map in maps
-    ]
+    """`airborne_walls` of several components, the largest first; None without any surface."""
+    options = options or GroundOptions()
+    maps = [transformed_depth_map(one, model.enu_from_level) for model in models for one in model.maps_level]
+    cameras = [camera.transformed(model.enu_from_level) for model in models for camera in model.cameras]
+    pictures = [empty_depth_map(camera, photos, options.picture_px) for camera in cameras]
+    surfaces = [_surface(model) for model in models]
+    rng = np.random.default_rng(seed)
     try:
-        return airborne_walls(maps_enu, options, rng=np.random.default_rng(seed), progress=progress)
+        return airborne_walls(maps, options, surfaces=surfaces, pictures_enu=pictures, rng=rng, progress=progress)
     except DegenerateGeometry:
         return None
+
+
+def _surface(model: AirborneModel) -> SurfaceImage:
+    """Colours and heights of the nadir render, as fine as it is."""
+    west, south, east, north = render_bounds(model.render, model.enu_from_level, WORTH)
+    pixel = model.render.view.pixel * model.enu_from_level.scale
+    shape = (max(int(np.ceil((north - south) / pixel)), 1), max(int(np.ceil((east - west) / pixel)), 1))
+    grid = Grid(west, north, pixel, shape)
+    raster, up = warp_to_grid(model.render, model.enu_from_level, grid, 0.0)
+    seen = warp_confidence(model.render, model.enu_from_level, grid) >= MEASURED
+    return SurfaceImage(grid, raster.rgb, up, seen)
 
 
 def transformed_depth_map(depth_map: DepthMap, target_from_source: Similarity) -> DepthMap:

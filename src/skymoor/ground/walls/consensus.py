@@ -11,7 +11,15 @@ import numpy as np
 
 from skymoor.geometry import Similarity
 from skymoor.registration.criteria import ESTIMATE, criterion, with_criteria
+from skymoor.registration.significance import predictive_tail
 from skymoor.types import Array, Criterion, Registration
+
+SCORE_SPREAD, CONTRAST_SPREAD, PLAN_SPREAD = 0.25, 2.0, 2.0
+"""Usual spread of the logarithm of the score, of the contrast and of the score in plan, over wrong hypotheses."""
+USUAL_HEIGHT_M, HEIGHT_SPREAD, LEAST_HEIGHT_M = 1.7, 0.5, 0.3
+"""Of cameras above the ground, log-normal: held by people, on dashboards (2 to 3.5 m with the vehicle) and on poles."""
+EVIDENCE_SPREAD, USUAL_RIVALS = 2.0, 4
+"""Usual spread of the evidence of wrong hypotheses of one component, and its weight beside the observed one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +92,7 @@ class RefinedHypothesis:
     `score` and `ncc` are the agreement of all photos with `walls_seen` walls of the airborne model; `height_m` is the
     height of the cameras above the surface seen from above (median), `blocked` the share of viewing rays that cross
     walls; `cells` counts the independent cubes that hold inliers, see `independent_cells`; `perturbed_scores` are those
-    of positions a few metres away.
+    of positions a few metres away. `plan_score` is the agreement in plan, see `PlanHypothesis`; NaN where unknown.
     """
 
     origin: WallHypothesis
@@ -97,6 +105,19 @@ class RefinedHypothesis:
     blocked: float
     cells: int
     perturbed_scores: tuple[float, ...] = ()
+    plan_score: float = float("nan")
+
+    @property
+    def evidence(self) -> float:
+        """Agreement in elevation, its contrast, and agreement in plan, in units of their usual spread; less what speaks
+        against it, an unusual height of the cameras.
+
+        Of the score the logarithm, whose spread over wrong hypotheses is alike at large and small components.
+        """
+        in_plan = 0.0 if np.isnan(self.plan_score) else max(self.plan_score, 0.0)
+        in_elevation = float(np.log(max(self.score, 1.0))) / SCORE_SPREAD + self.contrast / CONTRAST_SPREAD
+        unusual = np.log(max(self.height_m, LEAST_HEIGHT_M) / USUAL_HEIGHT_M) / HEIGHT_SPREAD
+        return in_elevation + in_plan / PLAN_SPREAD - float(np.nan_to_num(unusual**2 / 2))
 
     @property
     def contrast(self) -> float:
@@ -118,7 +139,7 @@ class AcceptanceOptions:
 
     Attributes:
         min_contrast: see `RefinedHypothesis`; docs/benchmarks.md has the values of right and wrong hypotheses.
-        min_margin: by which the best contrast must exceed that of the best hypothesis elsewhere.
+        max_chance: largest probability that one of as many wrong hypotheses has as much evidence as the best.
         min_rivals, lone_contrast: with fewer hypotheses elsewhere to compare with, the contrast itself must be so high.
         apart_m: hypotheses are elsewhere if they put the model's probes at least this far, on average.
         min_inlier_ratio: of the dense matches (the paper's).
@@ -129,7 +150,7 @@ class AcceptanceOptions:
     """
 
     min_contrast: float = 11.0
-    min_margin: float = 1.5
+    max_chance: float = 0.01
     min_rivals: int = 2
     lone_contrast: float = 16.0
     apart_m: float = 5.0
@@ -137,8 +158,8 @@ class AcceptanceOptions:
     min_cells: int = 10
     cell_m: float = 2.0
     max_tilt_deg: float = 6.0
-    min_height_m: float = 0.8
-    max_height_m: float = 2.6
+    min_height_m: float = 0.5
+    max_height_m: float = 8.0
     max_blocked: float = 0.05
 
 
@@ -159,13 +180,16 @@ def decide_ground(
     # Cameras in the air or behind walls make neither the best hypothesis nor a competing one.
     possible = [c for c in candidates if _possible(c, options)] or list(candidates)
     best, found = possible[0], possible[0].registration
-    compared = [c for c in candidates if _apart(best.enu_from_level, c.enu_from_level, probes) >= options.apart_m]
-    elsewhere = [c for c in compared if c in possible]
+    elsewhere = [c for c in possible if _apart(best.enu_from_level, c.enu_from_level, probes) >= options.apart_m]
     second = max((c.contrast for c in elsewhere), default=0.0)
+    chance = _chance(best, elsewhere) if elsewhere else 0.0
     diagnostics = {
         **found.diagnostics,
         "contrast": best.contrast,
         "second_contrast": second,
+        "evidence": best.evidence,
+        "second_evidence": max((c.evidence for c in elsewhere), default=0.0),
+        "plan_score": best.plan_score,
         "score": best.score,
         "second_score": max((c.score for c in elsewhere), default=0.0),
         "ncc": best.ncc,
@@ -176,12 +200,19 @@ def decide_ground(
         "blocked": best.blocked,
         "cells": float(best.cells),
     }
-    needed = options.min_contrast if len(compared) >= options.min_rivals else options.lone_contrast
-    criteria = [found_any, *_criteria(best, second, needed, options)]
+    needed = options.min_contrast if len(elsewhere) >= options.min_rivals else options.lone_contrast
+    criteria = [found_any, *_criteria(best, needed, chance, options)]
     return with_criteria(replace(found, diagnostics=diagnostics), criteria)
 
 
-def _criteria(best: RefinedHypothesis, second: float, needed: float, options: AcceptanceOptions) -> list[Criterion]:
+def _chance(best: RefinedHypothesis, elsewhere: Sequence[RefinedHypothesis]) -> float:
+    """Probability that the best of as many wrong hypotheses has so much evidence; those elsewhere are wrong."""
+    null = np.array([one.evidence for one in elsewhere])
+    one_more = predictive_tail(best.evidence, null, EVIDENCE_SPREAD, USUAL_RIVALS)
+    return float(-np.expm1((len(null) + 1) * np.log1p(-min(one_more, 1 - 1e-12))))
+
+
+def _criteria(best: RefinedHypothesis, needed: float, chance: float, options: AcceptanceOptions) -> list[Criterion]:
     found, of_matches = best.registration, []
     if found.registered:
         of_matches = [
@@ -192,7 +223,7 @@ def _criteria(best: RefinedHypothesis, second: float, needed: float, options: Ac
     return [
         criterion(ESTIMATE, found.registered, 1),
         criterion("contrast", best.contrast, needed),
-        criterion("competing_contrast", best.contrast, options.min_margin * second),
+        criterion("chance_of_evidence", chance, options.max_chance),
         *of_matches,
         criterion("min_camera_height", best.height_m, options.min_height_m),
         criterion("max_camera_height", best.height_m, options.max_height_m),

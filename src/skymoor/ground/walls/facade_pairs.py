@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from skymoor.geometry import Similarity
+from skymoor.ground.wall_planes import transformed_wall
 from skymoor.ground.walls.facades import Facade, FacadeOptions, facade_of
 from skymoor.ground.walls.visibility import HeightRaster
-from skymoor.ground.walls.walls import transformed_wall
 from skymoor.types import Array, DepthMap, Mask, Raster
 
 FEWEST_PX = 100

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -11,9 +11,12 @@ import numpy as np
 
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry import Similarity
-from skymoor.ground.walls.surface import sample_nearest
-from skymoor.ground.walls.walls import Wall
-from skymoor.types import Array, Array32, DepthMap, Raster
+from skymoor.ground.surface import sample_nearest
+from skymoor.ground.wall_planes import Wall
+from skymoor.types import Array, Array32, Camera, DepthMap, Mask, Raster
+
+Hidden = Callable[[Camera, Array], Mask]
+"""Which of the points (h, w, 3) a camera does not see, (h, w)."""
 
 NO_DEPTH_DOWN_M = 0.5
 """Photos without depth are used this far below a wall at most: there the ground begins."""
@@ -48,7 +51,8 @@ class FacadeOptions:
 class Facade:
     """Orthophoto of a wall: columns run to the right as seen from outside, rows downwards.
 
-    The first pixel's upper left corner is at `s0` along the wall and height `z1`.
+    The first pixel's upper left corner is at `s0` along the wall and height `z1`. `detail_m` is the size of the photos'
+    pixels on the wall, along it and upwards: photos from above are foreshortened.
     """
 
     wall: Wall
@@ -56,6 +60,7 @@ class Facade:
     pixel_m: float
     s0: float
     z1: float
+    detail_m: tuple[float, float] = (float("nan"), float("nan"))
 
     def xyz(self, px: Array) -> Array:
         """Points (n, 3) of the wall's plane at pixels (n, 2)."""
@@ -76,7 +81,14 @@ class _Layer:
     shown: Array32  # weight; 0 where something else is visible
 
 
-def facade_of(wall: Wall, maps: Sequence[DepthMap], pixel_m: float, options: FacadeOptions | None = None) -> Facade:
+def facade_of(
+    wall: Wall,
+    maps: Sequence[DepthMap],
+    pixel_m: float,
+    options: FacadeOptions | None = None,
+    *,
+    hidden: Hidden | None = None,
+) -> Facade:
     """Orthophoto of a wall from the photos in front of it with the finest pixels; empty without any.
 
     Args:
@@ -84,6 +96,7 @@ def facade_of(wall: Wall, maps: Sequence[DepthMap], pixel_m: float, options: Fac
         maps: undistorted photos with depth.
         pixel_m: size of a pixel, in the unit of the maps' frame; larger where the orthophoto would exceed `max_px`.
         options: see there.
+        hidden: which points a camera does not see, where not the depths of its photo tell that.
     """
     options = options or FacadeOptions()
     margin = options.margin_m
@@ -94,7 +107,8 @@ def facade_of(wall: Wall, maps: Sequence[DepthMap], pixel_m: float, options: Fac
     facade = Facade(wall, empty, pixel_m, wall.s0 - margin, wall.z1 + margin)
     u, v = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
     xyz = facade.xyz(np.column_stack([u.ravel(), v.ravel()])).reshape(*shape, 3)
-    layers = [_layer(wall, xyz, depth_map, options) for depth_map in _sharpest(wall, maps, options)]
+    photos = _sharpest(wall, maps, options)
+    layers = [_layer(wall, xyz, depth_map, options, hidden) for depth_map in photos]
     if not layers:
         return facade
     weights = np.stack([layer.shown for layer in layers])
@@ -103,7 +117,8 @@ def facade_of(wall: Wall, maps: Sequence[DepthMap], pixel_m: float, options: Fac
     total = weights.sum(axis=0)
     rgb = sum(w[..., None] * layer.rgb for w, layer in zip(weights, layers, strict=True))
     colours = np.clip(rgb / np.maximum(total, 1e-12)[..., None], 0, 255).astype(np.uint8)
-    return replace(facade, raster=Raster(colours, total > 0))
+    shown = int(np.argmax([layer.shown.sum() for layer in layers]))
+    return replace(facade, raster=Raster(colours, total > 0), detail_m=_detail(wall, photos[shown]))
 
 
 def similarity_between(a: Facade, b: Facade, b_from_a: Array) -> Similarity:
@@ -156,7 +171,17 @@ def _sharpest(wall: Wall, maps: Sequence[DepthMap], options: FacadeOptions) -> l
     return [depth_map for _, depth_map in sorted(found, key=lambda pair: -pair[0])[: options.photos]]
 
 
-def _layer(wall: Wall, xyz: Array, depth_map: DepthMap, options: FacadeOptions) -> _Layer:
+def _detail(wall: Wall, depth_map: DepthMap) -> tuple[float, float]:
+    """Size of a photo's pixels at the middle of a wall, along it and upwards."""
+    ray = depth_map.camera.centre - wall.centre
+    distance = float(np.linalg.norm(ray))
+    pixel = distance / depth_map.camera.intrinsics.fx
+    across = np.hypot(ray[:2] @ wall.normal, ray[2]) / distance
+    level = abs(float(ray[:2] @ wall.normal)) / max(float(np.hypot(ray[:2] @ wall.normal, ray[2])), 1e-9)
+    return pixel / max(across, 1e-3), pixel / max(level, 1e-3)
+
+
+def _layer(wall: Wall, xyz: Array, depth_map: DepthMap, options: FacadeOptions, hidden: Hidden | None = None) -> _Layer:
     """Colours and weights of one photo on the wall."""
     camera, i = depth_map.camera, depth_map.camera.intrinsics
     xyz_cam = camera.cam_from_world.apply(xyz)
@@ -173,6 +198,9 @@ def _layer(wall: Wall, xyz: Array, depth_map: DepthMap, options: FacadeOptions) 
     # Distance of the observed surface behind the plane of the wall, along its normal.
     behind = (depth / safe - 1) * height
     weight = np.where(front & (cosine > options.min_cosine), cosine**1.5 * i.fx / distance, 0)
+    if hidden is not None:
+        rgb = cv2.remap(depth_map.rgb, u - 0.5, v - 0.5, cv2.INTER_LINEAR).astype(np.float32)
+        return _Layer(rgb, np.where(hidden(camera, xyz), 0, weight).astype(np.float32))
     with np.errstate(invalid="ignore"):
         seen = np.where(np.abs(behind) < options.tolerance_m, weight, 0)
     rgb = cv2.remap(depth_map.rgb, u - 0.5, v - 0.5, cv2.INTER_LINEAR).astype(np.float32)

@@ -30,8 +30,8 @@ class WallHypotheses:
 
     @property
     def scores(self) -> list[float]:
-        """Contrast of each candidate."""
-        return [candidate.contrast for candidate in self.candidates]
+        """Evidence of each candidate."""
+        return [candidate.evidence for candidate in self.candidates]
 
     def decide(self, excluded: Collection[int] = ()) -> Registration:
         """The registration by the best hypothesis that is not in `excluded` (their numbers), accepted or refused."""

@@ -11,8 +11,9 @@ from scipy.ndimage import distance_transform_edt
 
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry import Similarity
-from skymoor.ground.walls.surface import Surface
-from skymoor.ground.walls.walls import Wall
+from skymoor.ground.surface import Surface
+from skymoor.ground.wall_planes import Wall
+from skymoor.registration import ground_level
 from skymoor.types import Array, Array32, DepthMap, Mask
 
 RAY_SHARE = 0.85
@@ -26,10 +27,12 @@ FOOT_M = 1.0
 class HeightRaster:
     """Heights of surfaces seen from above, in cells of the plan: element (row, column) is y0 + row, x0 + column cells.
 
-    Cells without an observation have the height of the nearest one, and `seen` false.
+    Cells without an observation have the height of the nearest one, and `seen` false. `ground` is the height of the
+    ground under houses and trees.
     """
 
     height: Array32
+    ground: Array32
     seen: Mask
     x0: float
     y0: float
@@ -37,6 +40,13 @@ class HeightRaster:
 
     def at(self, xy: Array, *, only_seen: bool = False) -> Array:
         """Heights (...,) at plan positions (..., 2); NaN outside, and without an observation with `only_seen`."""
+        return self._at(self.height, xy, only_seen=only_seen)
+
+    def ground_at(self, xy: Array) -> Array:
+        """Heights (...,) of the ground at plan positions (..., 2); NaN outside."""
+        return self._at(self.ground, xy, only_seen=False)
+
+    def _at(self, values: Array32, xy: Array, *, only_seen: bool) -> Array:
         column = np.floor((xy[..., 0] - self.x0) / self.cell_m).astype(np.int64)
         row = np.floor((xy[..., 1] - self.y0) / self.cell_m).astype(np.int64)
         h, w = self.height.shape
@@ -44,7 +54,7 @@ class HeightRaster:
         row, column = np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)
         if only_seen:
             inside &= self.seen[row, column]
-        return np.where(inside, self.height[row, column], np.nan)
+        return np.where(inside, values[row, column], np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +81,9 @@ def height_raster_of(surface: Surface, *, cell_m: float = 1.0, min_normal_up: fl
     height = height.reshape(h, w)
     known = np.isfinite(height)
     rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return HeightRaster(height[rows, columns], known, float(x0), float(y0), cell_m)
+    # Cars and people stand on the ground, not on the crowns above it.
+    ground = ground_level(height, cell_m)[rows, columns]
+    return HeightRaster(height[rows, columns], ground, known, float(x0), float(y0), cell_m)
 
 
 def view_rays_of(maps: Sequence[DepthMap], *, rays: int = 40, rng: np.random.Generator) -> ViewRays:
@@ -108,7 +120,7 @@ def check_visibility(
     `margin_m` or to its edge counts as beside it.
     """
     centres = enu_from_level.apply(rays.centres)
-    above = centres[:, 2] - heights.at(centres[:, :2])
+    above = centres[:, 2] - heights.ground_at(centres[:, :2])
     outside = float(np.isnan(above).mean()) if len(above) else 1.0
     height = float(np.nanmedian(above)) if outside < 1 else float("nan")
     starts, ends = np.broadcast_to(centres[:, None], rays.ends.shape), enu_from_level.apply(rays.ends)

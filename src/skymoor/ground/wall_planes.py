@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.geometry import Similarity
-from skymoor.ground.walls.surface import Surface
+from skymoor.ground.surface import Surface
 from skymoor.types import Array
 
 Index = NDArray[np.intp]
