@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry import Similarity
+from skymoor.ground.plan_view import PlanSearchOptions
 from skymoor.ground.walls import (
     AirborneWalls,
     GroundOptions,
@@ -25,7 +26,14 @@ from support.houses import centres, from_the_air, houses, walk_round
 
 SITE, HOUSE = 1, 0
 # Narrower than by default, for time only.
-QUICK = GroundOptions(min_scale=1.5, max_scale=2.1, finalists=8, pool=PoolOptions(keep=5))
+QUICK = GroundOptions(
+    min_scale=1.5,
+    max_scale=2.1,
+    finalists=8,
+    matched=1,
+    plan=PlanSearchOptions(keep=8),
+    pool=PoolOptions(keep=5),
+)
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from skymoor.pipeline.ground import register_ground_sets
 from skymoor.pipeline.job import ComponentResult, Job
 from skymoor.pipeline.options import GroundChoices, Options
 from skymoor.store import Store
-from skymoor.types import Component, DepthMap, Registration, Render, View, no_progress
+from skymoor.types import Component, DepthMap, Photos, Registration, Render, View, no_progress
 from support.tile_world import PICTURES, TileOracle, TileWorld, floated
 
 CONSENSUS = ConsensusOptions(pictures=PICTURES)
@@ -80,6 +80,12 @@ def airborne_of(world: TileWorld) -> ComponentResult:
     return replace(base, model=model, render=world.renders[0])
 
 
+def photos_of(world: TileWorld) -> Photos:
+    pictures = {one.camera.image: one.rgb for one in world.walk()}
+    sizes = tuple((rgb.shape[1], rgb.shape[0]) for rgb in pictures.values())
+    return Photos(tuple(pictures), sizes, pictures.__getitem__, content="boxes")
+
+
 @pytest.mark.parametrize("method", ["cascade", "exhaustive"])
 def test_tiles_place_both_components(
     method: Any, tmp_path: Path, stubbed: tuple[list[DepthMap], Similarity, TileWorld]
@@ -89,7 +95,7 @@ def test_tiles_place_both_components(
     options = Options(engines=Engines(structural=oracle), ground=GroundChoices(method=method))
     base = airborne_of(world)
     with Store.open(tmp_path) as store:
-        ((first, second),) = register_ground_sets([ground_job(store, options)], [base])
+        ((first, second),) = register_ground_sets([ground_job(store, options)], [base], photos_of(world))
     for item in (first, second):
         assert item.registration.registered, item.registration.reason
         assert item.registration.enu_from_level is not None
@@ -110,10 +116,10 @@ def test_without_an_airborne_component_all_are_refused(
     tmp_path: Path, stubbed: tuple[list[DepthMap], Similarity, TileWorld]
 ) -> None:
     with Store.open(tmp_path) as store:
-        (found,) = register_ground_sets([ground_job(store)], [])
+        (found,) = register_ground_sets([ground_job(store)], [], photos_of(stubbed[2]))
     assert [item.registration.registered for item in found] == [False, False]
     assert "no registered airborne component" in found[0].registration.reason
-    assert register_ground_sets([], []) == []
+    assert register_ground_sets([], [], photos_of(stubbed[2])) == []
 
 
 def test_an_error_in_one_component_refuses_that_one(
@@ -127,7 +133,7 @@ def test_an_error_in_one_component_refuses_that_one(
     monkeypatch.setattr(pipeline_ground, "densify_component", lambda _, level, *__: maps[: len(level.cameras)])
     options = Options(ground=GroundChoices(method="exhaustive"))
     with Store.open(tmp_path) as store:
-        ((broken, whole),) = register_ground_sets([ground_job(store, options)], [airborne_of(world)])
+        ((broken, whole),) = register_ground_sets([ground_job(store, options)], [airborne_of(world)], photos_of(world))
     assert not broken.registration.registered
     assert broken.registration.reason == "internal error (LinAlgError: Singular matrix); run.log has the traceback"
     assert whole.registration.registered
@@ -178,7 +184,7 @@ def test_metres_of_single_photos_narrow_the_search(
     ground = GroundChoices(method="exhaustive", metric="metric_depth")
     options = Options(engines=Engines(metric_depth=network), ground=ground)
     with Store.open(tmp_path) as store:
-        ((first, second),) = register_ground_sets([ground_job(store, options)], [airborne_of(world)])
+        ((first, second),) = register_ground_sets([ground_job(store, options)], [airborne_of(world)], photos_of(world))
     assert first.metric is not None
     assert first.metric.metres_per_unit == pytest.approx(factor * enu_from_level.scale, rel=0.02)
     assert second.metric is not None

@@ -209,9 +209,10 @@ def _to_camera(disparity: Array32, sigma_d: Array32, camera: Camera, rect: _Rect
     nan = float("nan")
     d = cv2.remap(disparity, map_x, map_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=nan)
     s = cv2.remap(sigma_d, map_x, map_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=nan)
-    z_rect = rect.focal * rect.baseline / (d + rect.d_min)
-    depth = (z_rect / rays[..., 2]).astype(np.float32)
-    return depth, (depth * s / (d + rect.d_min)).astype(np.float32)
+    total = d + rect.d_min
+    total = np.where(total > 0, total, np.nan)  # no disparity: infinitely far, without a depth
+    depth = (rect.focal * rect.baseline / total / rays[..., 2]).astype(np.float32)
+    return depth, (depth * s / total).astype(np.float32)
 
 
 def pixel_rays(intrinsics: Intrinsics) -> Array:

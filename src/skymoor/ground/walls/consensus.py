@@ -160,7 +160,7 @@ class AcceptanceOptions:
     max_tilt_deg: float = 6.0
     min_height_m: float = 0.5
     max_height_m: float = 8.0
-    max_blocked: float = 0.05
+    max_blocked: float = 0.1
 
 
 def decide_ground(
