@@ -37,6 +37,7 @@ from skymoor.registration.detail import averaged
 from skymoor.types import Camera, DepthMap, Photos, Progress, Render, no_progress
 
 WORTH = 0.05  # confidence of the render that widens its surface
+PICTURE_PIXELS = 2e8  # of all photos that colour walls together: 3 GB
 MEASURED = 0.2  # confidence from which a height is measured and not interpolated
 
 
@@ -57,7 +58,7 @@ class GroundOptions:
         screen, refine, perturbation: how finalists and matched hypotheses are refined as a whole, and compared with
             positions around.
         min_kept: share of that agreement that must remain after the final fit to the matches.
-        picture_px: long side of the photos that colour walls below roof edges.
+        picture_px: largest long side of the photos that colour walls below roof edges.
         plan_cell_m: of the search in plan.
         edges, roof_facades, plan, walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register,
             facade_pairs, acceptance: of the steps.
@@ -178,10 +179,13 @@ def walls_of_components(
     progress: Progress = no_progress,
 ) -> AirborneWalls | None:
     """`airborne_walls` of several components, the largest first; None without any surface."""
+    if not models:
+        return None
     options = options or GroundOptions()
     maps = [transformed_depth_map(one, model.enu_from_level) for model in models for one in model.maps_level]
     cameras = [camera.transformed(model.enu_from_level) for model in models for camera in model.cameras]
-    pictures = [empty_depth_map(camera, photos, options.picture_px) for camera in cameras]
+    picture_px = min(options.picture_px, int(np.sqrt(PICTURE_PIXELS / len(cameras))))
+    pictures = [empty_depth_map(camera, photos, picture_px) for camera in cameras]
     surfaces = [_surface(model) for model in models]
     rng = np.random.default_rng(seed)
     try:
