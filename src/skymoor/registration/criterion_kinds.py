@@ -201,8 +201,7 @@ KINDS: dict[str, Kind] = {
         "wrong ones does so with probability {value}; at most {limit} is allowed",
         meaning="Agreement in elevation and in plan together must stand out from those of the hypotheses elsewhere, "
         "which are wrong and show what chance reaches with the same photos.",
-        limit="at most ground.walls.acceptance.max_chance; with fewer hypotheses elsewhere than "
-        "ground.walls.acceptance.min_rivals the contrast decides alone",
+        limit="at most ground.walls.acceptance.max_chance; the contrast decides without any hypothesis elsewhere",
         remedy="Take photos that show where a repetition ends, such as the corner of a row of houses, "
         "and airborne photos at a slant that show walls.",
         spec=".2g",

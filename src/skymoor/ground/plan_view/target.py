@@ -12,9 +12,9 @@ import numpy as np
 from skymoor.geo import Grid
 from skymoor.ground.wall_planes import Wall
 from skymoor.registration import ground_level
+from skymoor.registration.bare_earth import RAISED_M
 from skymoor.types import Array, Array32, Mask
 
-RAISED_M = 2.5  # above ground: houses and trees
 LARGEST_HOLE_M2 = 400.0  # in a roof
 SATURATION = 0.25  # largest step of a cell: a high and straight edge does not outweigh all others
 STEP_M = 4.0  # heights above ground are compared up to this: higher walls are not better visible from the ground

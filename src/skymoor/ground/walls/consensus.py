@@ -10,13 +10,15 @@ from math import sqrt
 import numpy as np
 
 from skymoor.geometry import Similarity
+from skymoor.ground.plan_view import PlanSearchOptions
 from skymoor.registration.criteria import ESTIMATE, criterion, with_criteria
 from skymoor.registration.significance import predictive_tail
 from skymoor.types import Array, Criterion, Registration
 
 SCORE_SPREAD, CONTRAST_SPREAD, PLAN_SPREAD = 0.25, 2.0, 2.0
 """Usual spread of the logarithm of the score, of the contrast and of the score in plan, over wrong hypotheses."""
-USUAL_HEIGHT_M, HEIGHT_SPREAD, LEAST_HEIGHT_M = 1.7, 0.5, 0.3
+USUAL_HEIGHT_M, HEIGHT_SPREAD = PlanSearchOptions.usual_height_m, PlanSearchOptions.height_sigma
+LEAST_HEIGHT_M = 0.3
 """Of cameras above the ground, log-normal: held by people, on dashboards (2 to 3.5 m with the vehicle) and on poles."""
 EVIDENCE_SPREAD, USUAL_RIVALS = 2.0, 4
 """Usual spread of the evidence of wrong hypotheses of one component, and its weight beside the observed one."""
@@ -90,7 +92,7 @@ class RefinedHypothesis:
     """A hypothesis after refinement, with its agreement with the photos.
 
     `score` and `ncc` are the agreement of all photos with `walls_seen` walls of the airborne model; `height_m` is the
-    height of the cameras above the surface seen from above (median), `blocked` the share of viewing rays that cross
+    height of the cameras above the ground (median), `blocked` the share of viewing rays that cross
     walls; `cells` counts the independent cubes that hold inliers, see `independent_cells`; `perturbed_scores` are those
     of positions a few metres away. `plan_score` is the agreement in plan, see `PlanHypothesis`; NaN where unknown.
     """

@@ -198,12 +198,11 @@ def _layer(wall: Wall, xyz: Array, depth_map: DepthMap, options: FacadeOptions, 
     # Distance of the observed surface behind the plane of the wall, along its normal.
     behind = (depth / safe - 1) * height
     weight = np.where(front & (cosine > options.min_cosine), cosine**1.5 * i.fx / distance, 0)
+    rgb = cv2.remap(depth_map.rgb, u - 0.5, v - 0.5, cv2.INTER_LINEAR).astype(np.float32)
     if hidden is not None:
-        rgb = cv2.remap(depth_map.rgb, u - 0.5, v - 0.5, cv2.INTER_LINEAR).astype(np.float32)
         return _Layer(rgb, np.where(hidden(camera, xyz), 0, weight).astype(np.float32))
     with np.errstate(invalid="ignore"):
         seen = np.where(np.abs(behind) < options.tolerance_m, weight, 0)
-    rgb = cv2.remap(depth_map.rgb, u - 0.5, v - 0.5, cv2.INTER_LINEAR).astype(np.float32)
     grow = options.no_depth_margin_m
     within = (xyz[..., 2] >= wall.z0 - min(grow, NO_DEPTH_DOWN_M)) & (xyz[..., 2] <= wall.z1 + grow)
     along = xyz[..., :2] @ wall.right
