@@ -9,10 +9,12 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from skymoor.densify import SgmDepth
-from skymoor.densify._sgm import _Rectified, _rectify, _to_camera, _warp
+from skymoor.densify._sgm import _Rectified, _rectify, _to_camera, _warp, pair_depth
 from skymoor.densify.neighbours import depth_range
+from skymoor.geometry import Intrinsics, Similarity
 from skymoor.simulate.light.photo import true_depth
 from skymoor.types import Camera, DepthMap, Photos
 from support.flight import Flight, on_tent, true_component
@@ -185,3 +187,30 @@ def test_photos_without_partners_give_no_map(flight: Flight) -> None:
     lonely = replace(lonely, obs_point=component.obs_point[:1], obs_px=component.obs_px[:1])
     photos = Photos(flight.photos.names[:2], flight.photos.sizes[:2], flight.photos.read)
     assert SgmDepth()(lonely, photos) == []
+
+
+def test_a_camera_that_looks_along_the_way_has_depth_beside_it() -> None:
+    """A dash camera: the corners of its photos are beyond 90 degrees of any axis across the baseline."""
+    lens = Intrinsics(480, 360, 260.0, 260.0, 240.0, 180.0)  # 85 degrees wide
+    turned = Rotation.from_euler("y", 48, degrees=True).as_matrix()  # from across the way towards its direction
+    texture = cv2.GaussianBlur(np.random.default_rng(2).uniform(0, 255, (2000, 6000)).astype(np.float32), (0, 0), 4.0)
+    texture = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX)
+    wall_m, cameras, photos = 10.0, [], []
+    for k in range(2):
+        centre = np.array([1.5 * k, 0.0, 0.0])
+        camera = Camera(f"{k}.jpg", lens, Similarity(1.0, turned.T, -turned.T @ centre))
+        u, v = np.meshgrid(np.arange(480) + 0.5, np.arange(360) + 0.5)
+        rays = lens.rays(np.column_stack([u.ravel(), v.ravel()])) @ camera.cam_from_world.rotation
+        with np.errstate(divide="ignore"):
+            hit = centre + rays * (wall_m / np.maximum(rays[:, 2:], 1e-6))
+        x, y = ((hit[:, j] * 40 + offset).reshape(360, 480).astype(np.float32) for j, offset in ((0, 1000), (1, 1000)))
+        grey = cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderValue=128.0).astype(np.uint8)
+        cameras.append(camera)
+        photos.append(np.repeat(grey[..., None], 3, axis=2))
+    assert (lens.rays(np.array([[480.0, 180.0]])) @ turned.T)[0, 2] < 0.2
+    depth, _ = pair_depth(cameras[0], photos[0], cameras[1], photos[1], 4.0, 40.0, 3.0)
+    u, v = np.meshgrid(np.arange(480) + 0.5, np.arange(360) + 0.5)
+    towards_wall = (lens.rays(np.column_stack([u.ravel(), v.ravel()])) @ turned.T)[:, 2].reshape(360, 480)
+    known = np.isfinite(depth)
+    assert 0.2 < known.mean() < (towards_wall > 0.4).mean()
+    assert np.median(np.abs(depth * towards_wall / wall_m - 1)[known]) < 0.01

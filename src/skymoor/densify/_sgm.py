@@ -28,6 +28,8 @@ Views = Callable[[int], tuple[Camera, Image]]
 
 MAX_DISPARITIES = 320
 MAX_STRETCH = 3.0
+WIDEST_DEG = 65.0  # between a ray and the axis of the rectified view
+GRID, FEWEST = 9, 9  # points of an image per side, and those that must be within that angle
 
 
 @dataclass(frozen=True)
@@ -131,10 +133,11 @@ def _rectify(camera: Camera, other: Camera, near: float, far: float) -> _Rectifi
     z /= np.linalg.norm(z)
     rotation = np.stack([x, np.cross(z, x), z])
     i = camera.intrinsics
-    border = np.array([[0, 0], [i.width, 0], [0, i.height], [i.width, i.height]], float)
-    border = np.vstack([border, (border + np.roll(border, 1, axis=0)) / 2])
-    rays = i.rays(border) @ camera.cam_from_world.rotation @ rotation.T
-    if rays[:, 2].min() < 0.2:
+    over_image = np.stack(np.meshgrid(*(np.linspace(0, side, GRID) for side in (i.width, i.height))), axis=-1)
+    rays = i.rays(over_image.reshape(-1, 2)) @ camera.cam_from_world.rotation @ rotation.T
+    # Of a camera that looks along the way, the part beside it is matched.
+    rays = rays[_before(rays)]
+    if len(rays) < FEWEST:
         return None
     # The rectified z at both ends of the depth range, anywhere in the image.
     ends = np.concatenate([rays[:, 2] * near, rays[:, 2] * far])
@@ -148,6 +151,11 @@ def _rectify(camera: Camera, other: Camera, near: float, far: float) -> _Rectifi
     size = (int(focal * (high[0] - low[0])) + 1, int(focal * (high[1] - low[1])) + 1)
     d_min = np.floor(focal * baseline / ends.max())
     return _Rectified(rotation, focal, -focal * low[0], -focal * low[1], size, baseline, d_min, count)
+
+
+def _before(rays: Array) -> Mask:
+    """Whether rays (..., 3) are within `WIDEST_DEG` of the rectified view, beyond which it has no resolution."""
+    return np.asarray(rays[..., 2] > np.cos(np.radians(WIDEST_DEG)) * np.linalg.norm(rays, axis=-1))
 
 
 def _warp(image: Image, camera: Camera, rect: _Rectified, cx: float) -> tuple[Image, Mask]:
@@ -206,6 +214,7 @@ def _to_camera(disparity: Array32, sigma_d: Array32, camera: Camera, rect: _Rect
     rays = pixel_rays(camera.intrinsics.undistorted()) @ rect_from_cam.T
     map_x = (rect.focal * rays[..., 0] / rays[..., 2] + rect.cx - 0.5).astype(np.float32)
     map_y = (rect.focal * rays[..., 1] / rays[..., 2] + rect.cy - 0.5).astype(np.float32)
+    map_x[~_before(rays)] = -10.0  # beyond the rectified image
     nan = float("nan")
     d = cv2.remap(disparity, map_x, map_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=nan)
     s = cv2.remap(sigma_d, map_x, map_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=nan)

@@ -23,6 +23,7 @@ from skymoor.simulate.capture.carriers import carrier_of
 from skymoor.simulate.capture.shots import Shot, airborne_shots, ground_shots, security_shots
 from skymoor.simulate.light.photo import take_photo, true_depth, true_labels
 from skymoor.simulate.mesh import stream
+from skymoor.simulate.options import SiteOptions
 from skymoor.simulate.plan import Date, dates_of, place_of
 from skymoor.simulate.satellite import covariance_of, draw_bias, make_reference
 from skymoor.simulate.world import World
@@ -115,7 +116,8 @@ def _claim(world: World, site: Site) -> None:
         if not isinstance(found, dict) or found.get("options") != ours["options"]:
             raise InputError(f"{site.folder}: holds a site of other options; give another folder, or delete this one")
         return
-    if any((site.folder / name).exists() for name in ("site.toml", "airborne", "ground", "reference", "truth.csv")):
+    ours_too = ("site.toml", "airborne", *_ground_folders(world.options), "reference", "truth.csv")
+    if any((site.folder / name).exists() for name in ours_too):
         raise InputError(f"{site.folder}: holds a site that was not simulated; give another folder")
     _once(site, truth.name, lambda path: path.write_text(json.dumps(ours, indent=1) + "\n", encoding="utf-8"))
 
@@ -202,9 +204,14 @@ def _toml(world: World, site: Site) -> str:
     )
     if options.airborne:
         text += '\n[airborne]\nimages = "airborne"\n'
-    if options.groups or options.security:
-        text += '\n[[ground]]\nimages = "ground"\n'
-    return text
+    return text + "".join(f'\n[[ground]]\nimages = "{folder}"\n' for folder in _ground_folders(options))
+
+
+def _ground_folders(options: SiteOptions) -> list[str]:
+    """Where ground photos are: under real conditions each group has a folder of its own."""
+    groups = [f"ground_{chr(ord('a') + group)}" for group in range(options.groups)] if options.real else []
+    shared = options.security or (options.groups and not options.real)
+    return [*groups, *(["ground"] if shared else [])]
 
 
 def _truth_csv(site: Site, shots: Sequence[Shot]) -> str:

@@ -20,7 +20,7 @@ Kind = Literal["phone", "dash camera", "pole cameras"]
 
 KIND_SHARES: dict[Kind, float] = {"phone": 0.45, "dash camera": 0.35, "pole cameras": 0.2}
 EYE_M: dict[Kind, tuple[float, float]] = {"phone": (1.3, 1.9), "dash camera": (1.2, 3.5), "pole cameras": (2.5, 4.0)}
-STEP_M: dict[Kind, tuple[float, float]] = {"phone": (0.6, 2.2), "dash camera": (1.0, 3.5), "pole cameras": (1.5, 4.0)}
+STEP_M: dict[Kind, tuple[float, float]] = {"phone": (1.2, 3.0), "dash camera": (1.5, 4.0), "pole cameras": (1.5, 4.0)}
 FOCAL_WIDTHS: dict[Kind, tuple[float, float]] = {
     "phone": (0.70, 0.85),
     "dash camera": (0.50, 0.70),

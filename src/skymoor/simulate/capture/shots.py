@@ -90,14 +90,14 @@ def ground_shots(world: World) -> list[Shot]:
 
 
 def _real_group(world: World, group: int) -> list[Shot]:
-    """The photos of one group under real conditions."""
+    """The photos of one group under real conditions: a folder of its own, numbered in the order in which they are taken."""
     walk = real_walk_of(world, group)
     rng = stream(world.options.key, "real photos", group)
     letter = chr(ord("a") + group)
     sensors = sensors_of(carrier_of(world.options, group), len(walk.poses), rng)
     shots = []
-    for number, k in enumerate(rng.permutation(len(walk.poses))):
-        camera = Camera(f"ground/{letter}_{number:03d}.jpg", walk.lens, walk.poses[k])
+    for k, pose in enumerate(walk.poses):
+        camera = Camera(f"ground_{letter}/{letter}_{k:03d}.jpg", walk.lens, pose)
         shots.append(Shot(camera, sensors[k], "ground", letter, walk.motions[k], walk.pieces[k]))
     return shots
 

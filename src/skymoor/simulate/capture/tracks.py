@@ -18,7 +18,7 @@ from skymoor.simulate.world import World
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FROM_WALL_M = np.arange(6.0, 12.1, 0.5)
+FROM_WALL_M = np.arange(6.0, 24.1, 1.0)
 STANDING_M = (0.8, 4.5)  # plausible heights of a camera above what is below it
 ROAD_REACH_M = 30.0  # how far from a road facades are driven past
 LANE_SHARE = 0.25  # of the road's width, from its middle
