@@ -100,7 +100,7 @@ def test_groups_are_carried_as_drawn(make_world: MakeWorld) -> None:
 
 def test_walks_fall_into_pieces(make_world: MakeWorld) -> None:
     for seed in range(4):
-        walk = real_walk_of(make_world(conditions="real", groups=1, group_photos=40, seed=seed), 0)
+        walk = real_walk_of(make_world(conditions="real", groups=1, group_photos=28, seed=seed), 0)
         centres = np.array([pose.inverse().translation for pose in walk.poses])
         looks = np.array([pose.rotation[2, :2] / np.linalg.norm(pose.rotation[2, :2]) for pose in walk.poses])
         breaks = np.flatnonzero(np.diff(walk.pieces))
@@ -113,7 +113,7 @@ def test_walks_fall_into_pieces(make_world: MakeWorld) -> None:
 
 def test_the_first_walk_passes_walls_in_sun_and_in_shade(make_world: MakeWorld) -> None:
     for seed in range(4):
-        world = make_world(conditions="real", groups=1, group_photos=40, seed=seed)
+        world = make_world(conditions="real", groups=1, group_photos=28, seed=seed)
         walk, sun = real_walk_of(world, 0), dates_of(world.options).ground.sun
         lit = walk.circuit.outward[[place for place, _ in walk.stations]] @ sun[:2] > 0
         assert 0.15 < lit.mean() < 0.85
