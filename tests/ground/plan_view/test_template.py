@@ -21,7 +21,8 @@ def hand_made(side: int = SIDE) -> PlanModel:
     normals, free = np.zeros((2, side, side), np.float32), np.zeros((side, side), np.float32)
     normals[0, 10:30, 40] = -1.0
     free[12:28, 20:40] = 1.0
-    return PlanModel(normals, free, 0.5, np.zeros(2), np.zeros((1, 3)))
+    nothing = np.zeros((side, side, 3), np.uint8), np.zeros((side, side), bool)
+    return PlanModel(normals, free, *nothing, 0.5, np.zeros(2), np.zeros((1, 3)))
 
 
 @pytest.mark.parametrize("side", [SIDE, SIDE + 1])

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skymoor.geometry import Similarity
-from skymoor.ground.plan_view.search import PlanSearchOptions, all_maps, penalty, standard
+from skymoor.ground.plan_view.search import PlanSearchOptions, Usual, all_maps, penalty, usual
 from skymoor.ground.plan_view.target import PlanTarget
 from skymoor.ground.plan_view.template import PlanModel
 from skymoor.types import Array32
 
 SCALE_STEP = 1.1  # scales this near have the same distribution of scores
+SHIFTS = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 2)
 AZIMUTHS = np.radians(np.arange(0.0, 360.0, 60.0)).tolist()
 
 
@@ -24,26 +25,39 @@ class PlanScores:
     model: PlanModel
     target: PlanTarget
     options: PlanSearchOptions
-    _standards: dict[int, tuple[float, float] | None] = field(default_factory=dict)
+    _usual: dict[int, Usual | None] = field(default_factory=dict)
 
     def at(self, enu_from_level: Similarity) -> float:
         """The score of a similarity, see `PlanHypothesis`; NaN where too little of the component is on the map."""
-        step = round(float(np.log(enu_from_level.scale) / np.log(SCALE_STEP)))
-        if step not in self._standards:
-            maps = all_maps(self.model, self.target, SCALE_STEP**step, AZIMUTHS, self.options)
-            self._standards[step] = standard(maps)
-        usual, scale = self._standards[step], enu_from_level.scale
-        if usual is None:
+        scale, cell = enu_from_level.scale, self.target.grid.pixel_m
+        typical = self._usual_at(scale)
+        if typical is None:
             return float("nan")
         azimuth = float(np.arctan2(enu_from_level.rotation[1, 0], enu_from_level.rotation[0, 0]))
-        normals, free = self.model.at(scale, azimuth, self.target.grid.pixel_m)
+        normals, free = self.model.at(scale, azimuth, cell)
         centre = enu_from_level.apply(np.array([[*self.model.centre, 0.0]]))[:, :2]
-        corner = self.target.grid.px_from_enu(centre)[0] - free.shape[0] / 2
-        u, v = (round(float(x)) for x in corner)
-        shifts = [(u + du, v + dv) for dv in (-1, 0, 1) for du in (-1, 0, 1)]
-        found = [one for one in (self._sums(normals, free, *shift) for shift in shifts) if one is not None]
-        values = [(steps - usual[0]) / usual[1] - penalty(inside, scale, self.options) for steps, inside in found]
+        corner = np.round(self.target.grid.px_from_enu(centre)[0] - free.shape[0] / 2).astype(np.int64)
+        corners = corner + SHIFTS
+        ground = np.zeros(len(corners), np.float32)
+        if self.target.colour is not None:
+            cells = self.model.ground_at(scale, azimuth, cell)
+            ground = typical.ground_score(cells.agreement(self.target.colour, corners))
+        values = []
+        for (u, v), of_ground in zip(corners.tolist(), ground.tolist(), strict=True):
+            sums = self._sums(normals, free, u, v)
+            if sums is not None:
+                steps, inside = sums
+                values.append(typical.steps_score(steps) - penalty(inside, scale, self.options) + of_ground)
         return float(max(values)) if values else float("nan")
+
+    def _usual_at(self, scale: float) -> Usual | None:
+        step = round(float(np.log(scale) / np.log(SCALE_STEP)))
+        if step not in self._usual:
+            near = SCALE_STEP**step
+            maps = all_maps(self.model, self.target, near, AZIMUTHS, self.options)
+            cells = [self.model.ground_at(near, azimuth, self.target.grid.pixel_m) for azimuth in AZIMUTHS]
+            self._usual[step] = usual(maps, cells, self.target)
+        return self._usual[step]
 
     def _sums(self, normals: Array32, free: Array32, u: int, v: int) -> tuple[float, float] | None:
         """Agreement with the steps and share of free space in houses, with the rasters' first pixel at (u, v)."""

@@ -3,20 +3,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 
 from skymoor.geometry import Similarity
+from skymoor.ground.plan_view.ground_colour import GroundCells
 from skymoor.ground.plan_view.target import PlanTarget
 from skymoor.ground.plan_view.template import PlanModel
 from skymoor.types import Array, Array32, Mask, Progress, no_progress
 
+Whole = NDArray[np.int64]
+
 MIN_VALID = 300  # places that must be possible at a scale for its scores to be standardised
 BIN_DEG = 6
 APART_CELLS = 6
+PEAKS = 8  # places of an azimuth at a scale whose ground is compared
+USUAL_PLACES, MIN_USUAL = 16, 60  # of an azimuth, that tell how well ground agrees by chance; of all azimuths, needed
+LEAST_GROUND = -1.5  # another season or parked cars speak against a place only so much
 
 
 @dataclass(frozen=True)
@@ -55,8 +61,8 @@ class PlanSearchOptions:
 class PlanHypothesis:
     """A similarity in plan of a level model; heights are not told.
 
-    `score` is the standardised agreement with the height steps, less what contradicts it; `inside` the share of free
-    space within houses.
+    `score` is the standardised agreement with the height steps and with the ground's colours, less what contradicts it;
+    `inside` the share of free space within houses.
     """
 
     enu_from_level: Similarity
@@ -116,10 +122,52 @@ def all_maps(
     return [_maps(*model.at(scale, azimuth, cell), spectra, padded, options) for azimuth in azimuths]
 
 
-def standard(maps: list[tuple[Array32, Array32, Mask]]) -> tuple[float, float] | None:
-    """Mean and standard deviation of the agreement over all places; None where there are too few."""
+@dataclass(frozen=True)
+class Usual:
+    """Mean and standard deviation of the agreement over all places of a scale: with steps, and with ground."""
+
+    steps: tuple[float, float]
+    ground: tuple[float, float] | None
+
+    def steps_score(self, agreement: Array32 | float) -> Array32 | float:
+        mean, spread = self.steps
+        return (agreement - mean) / spread
+
+    def ground_score(self, agreement: Array32) -> Array32:
+        """Zero where it is unknown."""
+        if self.ground is None:
+            return np.zeros_like(agreement)
+        mean, spread = self.ground
+        return np.asarray(np.nan_to_num(np.maximum((agreement - mean) / spread, LEAST_GROUND)), dtype=np.float32)
+
+
+def usual(maps: list[tuple[Array32, Array32, Mask]], cells: list[GroundCells], target: PlanTarget) -> Usual | None:
+    """Of all places and azimuths of a scale; None where there are too few places."""
     values = np.concatenate([steps[valid] for steps, _, valid in maps])
-    return (float(values.mean()), max(float(values.std()), 1e-9)) if len(values) >= MIN_VALID else None
+    if len(values) < MIN_VALID:
+        return None
+    steps = float(values.mean()), max(float(values.std()), 1e-9)
+    if target.colour is None:
+        return Usual(steps, None)
+    found = []
+    for (_, _, valid), own in zip(maps, cells, strict=True):
+        places = np.flatnonzero(valid)
+        chosen = places[np.linspace(0, len(places) - 1, USUAL_PLACES).astype(np.int64)] if len(places) else places
+        found.append(own.agreement(target.colour, _corners(chosen, target, valid.shape)))
+    known = np.concatenate(found)
+    known = known[np.isfinite(known)]
+    if len(known) < MIN_USUAL:
+        return Usual(steps, None)
+    return Usual(steps, (float(known.mean()), max(float(known.std()), 1e-6)))
+
+
+def _corners(places: Whole, target: PlanTarget, padded: tuple[int, ...]) -> Whole:
+    """Cells (n, 2), u and v, of flat places of a padded map; those beyond the target are before its first cell."""
+    rows, columns = np.unravel_index(places, padded)
+    height, width = target.known.shape
+    u = np.where(columns >= width, columns - padded[1], columns)
+    v = np.where(rows >= height, rows - padded[0], rows)
+    return np.column_stack([u, v])
 
 
 def penalty(inside: Array32 | float, scale: float, options: PlanSearchOptions) -> Array32 | float:
@@ -132,22 +180,23 @@ def _at_scale(
     model: PlanModel, target: PlanTarget, scale: float, azimuths: list[float], options: PlanSearchOptions
 ) -> list[PlanHypothesis]:
     """The best places at one scale; scores are standardised over all places and azimuths at this scale."""
+    cell = target.grid.pixel_m
     maps = all_maps(model, target, scale, azimuths, options)
-    usual = standard(maps)
-    if usual is None:
+    cells = [model.ground_at(scale, azimuth, cell) for azimuth in azimuths]
+    typical = usual(maps, cells, target)
+    if typical is None:
         return []
-    mean, spread = usual
-    size = model.at(scale, 0.0, target.grid.pixel_m)[1].shape[0]
-    (rows, columns), padded = target.known.shape, maps[0][0].shape
+    size = model.at(scale, 0.0, cell)[1].shape[0]
     found = []
-    for azimuth, (steps, inside, valid) in zip(azimuths, maps, strict=True):
-        score = (steps - mean) / spread - penalty(inside, scale, options)
-        score = np.where(valid, score, -np.inf).astype(np.float32)
-        for row, column, value in _peaks(score):
-            beyond = np.array([column >= columns, row >= rows])
-            at = np.array([column, row]) - beyond * [padded[1], padded[0]]
-            similarity = _similarity(model, target, scale, azimuth, at + size / 2)
-            found.append(PlanHypothesis(similarity, value, float(inside[row, column])))
+    for azimuth, own, (steps, inside, valid) in zip(azimuths, cells, maps, strict=True):
+        score = typical.steps_score(steps) - penalty(inside, scale, options)
+        places, values = _peaks(np.where(valid, score, -np.inf).astype(np.float32))
+        corners = _corners(places, target, steps.shape)
+        if target.colour is not None and len(places):
+            values = values + typical.ground_score(own.agreement(target.colour, corners))
+        for corner, place, value in zip(corners, places.tolist(), values.tolist(), strict=True):
+            similarity = _similarity(model, target, scale, azimuth, corner + size / 2)
+            found.append(PlanHypothesis(similarity, value, float(inside.flat[place])))
     return found
 
 
@@ -168,16 +217,20 @@ def _maps(
     return steps, houses / np.maximum(free_known, 1.0), valid
 
 
-def _peaks(score: Array32) -> Iterator[tuple[int, int, float]]:
+def _peaks(score: Array32) -> tuple[Whole, Array32]:
+    """Flat places and scores of the highest local maxima, best first."""
     score = score.copy()
-    for _ in range(3):
-        row, column = (int(x) for x in np.unravel_index(int(np.argmax(score)), score.shape))
-        value = float(score[row, column])
-        if not np.isfinite(value):
-            return
-        yield row, column, value
-        rows, columns = (slice(max(0, x - APART_CELLS), x + APART_CELLS + 1) for x in (row, column))
+    places, values = [], []
+    for _ in range(PEAKS):
+        place = int(np.argmax(score))
+        row, column = np.unravel_index(place, score.shape)
+        if not np.isfinite(score[row, column]):
+            break
+        places.append(place)
+        values.append(score[row, column])
+        rows, columns = (slice(max(0, int(x) - APART_CELLS), int(x) + APART_CELLS + 1) for x in (row, column))
         score[rows, columns] = -np.inf
+    return np.array(places, dtype=np.int64), np.array(values, dtype=np.float32)
 
 
 def _similarity(model: PlanModel, target: PlanTarget, scale: float, azimuth: float, centre_px: Array) -> Similarity:

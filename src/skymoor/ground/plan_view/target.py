@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from skymoor.geo import Grid
+from skymoor.ground.plan_view.ground_colour import ColourMap
 from skymoor.ground.wall_planes import Wall
 from skymoor.registration import ground_level
 from skymoor.registration.bare_earth import RAISED_M
@@ -29,15 +30,24 @@ class PlanTarget:
         steps: (2, h, w) downward slope of the height above ground, towards u and v: on walls their outward normal.
         raised: (h, w) houses and trees, 0 to 1.
         known: (h, w) where there are heights.
+        colour: of the orthophoto, if there is one.
     """
 
     grid: Grid
     steps: Array32
     raised: Array32
     known: Mask
+    colour: ColourMap | None = None
 
 
-def plan_target(up: Array32, grid: Grid, *, seen: Mask | None = None, walls: Sequence[Wall] = ()) -> PlanTarget:
+def plan_target(
+    up: Array32,
+    grid: Grid,
+    *,
+    seen: Mask | None = None,
+    walls: Sequence[Wall] = (),
+    colour: ColourMap | None = None,
+) -> PlanTarget:
     """Height steps and houses of a surface seen from above.
 
     Beside a roof the ground is often hidden, and its heights are interpolated: steps are then spread over metres, and
@@ -49,6 +59,7 @@ def plan_target(up: Array32, grid: Grid, *, seen: Mask | None = None, walls: Seq
         grid: of them, with pixels of half a metre to a metre.
         seen: (h, w) where heights are measured and not interpolated; by default where they are known.
         walls: whose upper edges are straight steps.
+        colour: of the orthophoto on the same grid.
     """
     ground, known = ground_level(up, grid.pixel_m), np.isfinite(up)
     measured = known if seen is None else seen & known
@@ -59,7 +70,7 @@ def plan_target(up: Array32, grid: Grid, *, seen: Mask | None = None, walls: Seq
     size = np.maximum(np.hypot(*steps), 1e-6)
     steps = steps * np.minimum(1.0, SATURATION / size)
     smooth = cv2.GaussianBlur(houses.astype(np.float32), (0, 0), SMOOTH_CELLS)
-    return PlanTarget(grid, steps.astype(np.float32), smooth, known)
+    return PlanTarget(grid, steps.astype(np.float32), smooth, known, colour)
 
 
 def _slopes(above: Array) -> Array32:

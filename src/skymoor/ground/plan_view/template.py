@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A levelled ground component in plan: steep surfaces with their normals, and the free space before its cameras."""
+"""A levelled ground component in plan: steep surfaces with their normals, free space, and the colours of the ground."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 
 from skymoor.errors import DegenerateGeometry
+from skymoor.ground.plan_view.ground_colour import GroundCells, ground_cells, ground_picture
 from skymoor.ground.surface import surface_of
-from skymoor.types import Array, Array32, DepthMap
+from skymoor.types import Array, Array32, DepthMap, Image, Mask
 
 STEEP = 0.3  # largest vertical component of the unit normal of a steep surface
 SIDE_PX = 400  # of the raster of a component; larger ones get larger pixels
@@ -31,6 +32,7 @@ class PlanModel:
     Attributes:
         normals: (2, side, side) outward normals of steep surfaces towards u and v, times their weight.
         free: (side, side) free space, 0 to 1.
+        rgb, shown: (side, side, 3) colours of the ground, and where it is seen.
         pixel: in level units.
         centre: (2,) plan position of the raster's centre.
         cameras: (n, 3) centres.
@@ -38,14 +40,24 @@ class PlanModel:
 
     normals: Array32
     free: Array32
+    rgb: Image
+    shown: Mask
     pixel: float
     centre: Array
     cameras: Array
 
+    def ground_at(self, scale: float, azimuth_rad: float, cell_m: float) -> GroundCells:
+        """The ground turned counter-clockwise, in cells from the corner of the rasters of `at`."""
+        zoom = self.pixel * scale / cell_m
+        return ground_cells(self.rgb, self.shown, zoom, azimuth_rad, self._size(zoom))
+
+    def _size(self, zoom: float) -> int:
+        return max(8, int(np.ceil(self.free.shape[0] * zoom * np.sqrt(2))))
+
     def at(self, scale: float, azimuth_rad: float, cell_m: float) -> tuple[Array32, Array32]:
         """`normals` and `free` turned counter-clockwise, in cells of a map where a level unit is `scale` metres."""
         zoom = self.pixel * scale / cell_m
-        size = max(8, int(np.ceil(self.free.shape[0] * zoom * np.sqrt(2))))
+        size = self._size(zoom)
         c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
         # v runs down: counter-clockwise in plan is clockwise in (u, v).
         linear = zoom * np.array([[c, s], [-s, c]])
@@ -62,7 +74,7 @@ class PlanModel:
 
 
 def plan_model(maps_level: Sequence[DepthMap], *, rng: np.random.Generator) -> PlanModel:
-    """Steep surfaces and free space of the depth maps of a levelled component, z up.
+    """Steep surfaces, free space and ground of the depth maps of a levelled component, z up.
 
     Raises `DegenerateGeometry` where no depth map holds a steep surface.
     """
@@ -87,7 +99,9 @@ def plan_model(maps_level: Sequence[DepthMap], *, rng: np.random.Generator) -> P
     for one in maps_level:
         free += _free_before(one, px, side, rng)
     free = np.where(free >= min(MIN_VIEWS, len(maps_level)), np.minimum(free, ENOUGH_VIEWS) / ENOUGH_VIEWS, 0)
-    return PlanModel(_weighted(px(plan), normals * [1, -1], side), free.astype(np.float32), pixel, centre, cameras)
+    free = free.astype(np.float32)
+    rgb, shown = ground_picture(maps_level, free, pixel, centre)
+    return PlanModel(_weighted(px(plan), normals * [1, -1], side), free, rgb, shown, pixel, centre, cameras)
 
 
 def _weighted(px: Array, normals: Array, side: int) -> Array32:

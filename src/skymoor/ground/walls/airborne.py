@@ -19,7 +19,7 @@ from skymoor.engines.options import FIXED
 from skymoor.errors import DegenerateGeometry
 from skymoor.geo import Grid
 from skymoor.geometry import Similarity
-from skymoor.ground.plan_view import PlanSearchOptions, PlanTarget, plan_target
+from skymoor.ground.plan_view import PlanSearchOptions, PlanTarget, colour_map, plan_target
 from skymoor.ground.surface import surface_of
 from skymoor.ground.wall_planes import Wall, WallOptions, find_walls
 from skymoor.ground.walls.consensus import AcceptanceOptions, PoolOptions
@@ -167,7 +167,11 @@ def _plan(surfaces: Sequence[SurfaceImage], heights: HeightRaster, edges: Sequen
     step = max(1, round(cell_m / largest.grid.pixel_m))
     up, grid = averaged(largest.up, step), largest.grid
     seen = averaged(largest.seen.astype(np.float32), step) > 0.5
-    return plan_target(up, Grid(grid.east0, grid.north0, step * grid.pixel_m, up.shape), seen=seen, walls=edges)
+    shown = np.where(np.isfinite(largest.up)[..., None], largest.rgb, np.nan).astype(np.float32)
+    rgb = np.dstack([averaged(shown[..., k], step) for k in range(3)])
+    colour = colour_map(np.nan_to_num(rgb), np.isfinite(rgb[..., 0]))
+    coarse = Grid(grid.east0, grid.north0, step * grid.pixel_m, up.shape)
+    return plan_target(up, coarse, seen=seen, walls=edges, colour=colour)
 
 
 def walls_of_components(

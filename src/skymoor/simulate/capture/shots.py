@@ -90,7 +90,7 @@ def ground_shots(world: World) -> list[Shot]:
 
 
 def _real_group(world: World, group: int) -> list[Shot]:
-    """The photos of one group under real conditions: a folder of its own, numbered in the order in which they are taken."""
+    """The photos of one group under real conditions, numbered as they are taken, in a folder of their own."""
     walk = real_walk_of(world, group)
     rng = stream(world.options.key, "real photos", group)
     letter = chr(ord("a") + group)

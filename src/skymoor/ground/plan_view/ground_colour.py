@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ground before the cameras as an orthophoto, and its agreement with one from above.
+
+Kerbs, paths, lawns and hedges are seen from both sides where facades are not. Colours differ by season, light and
+sensor, so what is compared is how they vary: brightness, greenness and hue, each without its mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skymoor.types import Array, Array32, DepthMap, Image, Mask
+
+Whole = NDArray[np.int64]
+
+NEAR, FAR = 4.0, 9.0  # camera heights: ground up to NEAR is taken for seen, up to FAR only where space is free
+HIDDEN = 0.85  # of a point's depth: what is nearer than that hides it
+DARK_GREY = 8.0  # added before the logarithm: noise of dark pixels does not count
+CHANNELS = 3
+WEIGHTS = np.array([1.0, 1.0, 0.5], np.float32)  # of brightness, greenness, hue
+FLOOR = 0.25  # of the orthophoto's spread: variations below it are noise
+MOST_POINTS = 800
+FEWEST_CELLS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class ColourMap:
+    """`channels` (3, h, w) of an orthophoto, where they are `known` (h, w), and their `spread` (3,) over it."""
+
+    channels: Array32
+    known: Mask
+    spread: Array32
+
+    def at(self, columns: Whole, rows: Whole) -> tuple[Array32, Mask]:
+        """Channels (3, ...) of cells, and which of them are known."""
+        height, width = self.known.shape
+        inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
+        u, v = np.where(inside, columns, 0), np.where(inside, rows, 0)
+        return self.channels[:, v, u], inside & self.known[v, u]
+
+
+def colour_map(rgb: Image, known: Mask) -> ColourMap:
+    """The map of an orthophoto (h, w, 3)."""
+    channels = colour_channels(rgb)
+    if not known.any():
+        return ColourMap(channels, known, np.ones(CHANNELS, np.float32))
+    middle = np.median(channels[:, known], axis=1)
+    spread = 1.4826 * np.median(np.abs(channels[:, known] - middle[:, None]), axis=1)
+    return ColourMap(channels, known, np.maximum(spread, 1e-3).astype(np.float32))
+
+
+def colour_channels(rgb: Image) -> Array32:
+    """Brightness, greenness and hue (3, h, w): logarithms, so that light and gain are constants."""
+    red, green, blue = np.log(np.moveaxis(rgb.astype(np.float32), -1, 0) + np.float32(DARK_GREY))
+    return np.stack([(red + green + blue) / 3, 2 * green - red - blue, blue - red]).astype(np.float32)
+
+
+def ground_picture(maps_level: Sequence[DepthMap], free: Array32, pixel: float, centre: Array) -> tuple[Image, Mask]:
+    """The plane z = 0 of a level frame as its photos show it: colours (side, side, 3), and where they are seen.
+
+    Args:
+        maps_level: depth maps with z up, the ground at 0.
+        free: (side, side) free space, rows going down in y.
+        pixel, centre: of that raster, in level units.
+    """
+    side = free.shape[0]
+    along = (np.arange(side) + 0.5 - side / 2) * pixel
+    x, y = np.meshgrid(centre[0] + along, centre[1] - along)
+    ground = np.column_stack([x.ravel(), y.ravel(), np.zeros(side**2)])
+    nearest, rgb = np.full(side**2, np.inf), np.zeros((side**2, 3), np.uint8)
+    for one in maps_level:
+        distance = np.linalg.norm(ground[:, :2] - one.camera.centre[:2], axis=1)
+        chosen = np.flatnonzero(distance < np.minimum(nearest, FAR))
+        colours, seen = _seen(one, ground[chosen])
+        nearest[chosen[seen]], rgb[chosen[seen]] = distance[chosen[seen]], colours[seen]
+    shown = np.isfinite(nearest) & ((free.ravel() > 0) | (nearest < NEAR))
+    return rgb.reshape(side, side, 3), shown.reshape(side, side)
+
+
+def _seen(one: DepthMap, points: Array) -> tuple[Image, Mask]:
+    """Colours (n, 3) of points of the ground in a photo, and which of them are in it and not hidden."""
+    height, width = one.depth.shape
+    in_camera = one.camera.cam_from_world.apply(points)
+    before = in_camera[:, 2] > 1e-3
+    px = np.full((len(points), 2), -1.0)
+    px[before] = one.camera.intrinsics.px_from_cam(in_camera[before])
+    inside = (px >= 0).all(axis=1) & (px < [width, height]).all(axis=1)
+    u, v = (np.where(inside, px[:, k], 0).astype(np.int64) for k in (0, 1))
+    hidden = one.depth[v, u] < HIDDEN * in_camera[:, 2]  # False where the depth is unknown
+    return one.rgb[v, u], inside & ~hidden
+
+
+@dataclass(frozen=True, eq=False)
+class GroundCells:
+    """Cells of a turned and scaled ground picture: `offsets` (n, 2) in cells from its corner, `channels` (3, n)."""
+
+    offsets: Whole
+    channels: Array32
+
+    def agreement(self, target: ColourMap, corners: Whole) -> Array32:
+        """Correlation (k,) with the orthophoto, with the corner at cells (k, 2); NaN where it is hardly known."""
+        if self.offsets.shape[0] < FEWEST_CELLS:
+            return np.full(len(corners), np.nan, np.float32)
+        at = corners[:, None, :] + self.offsets[None]
+        theirs, known = target.at(at[..., 0], at[..., 1])
+        count = np.maximum(known.sum(axis=1), 1)
+        own, theirs = self.channels[:, None, :] * known, theirs * known
+        means = [x.sum(axis=2, keepdims=True) / count[:, None] for x in (own, theirs)]
+        own, theirs = ((x - mean) * known for x, mean in zip((own, theirs), means, strict=True))
+        floor = (FLOOR * target.spread[:, None]) ** 2
+        sizes = [np.sqrt((x**2).sum(axis=2) / count + floor) for x in (own, theirs)]
+        each = (own * theirs).sum(axis=2) / count / (sizes[0] * sizes[1])
+        found = WEIGHTS @ each / WEIGHTS.sum()
+        return np.where(known.mean(axis=1) >= 0.5, found, np.nan).astype(np.float32)
+
+
+def ground_cells(rgb: Image, seen: Mask, zoom: float, azimuth_rad: float, size: int) -> GroundCells:
+    """A ground picture turned counter-clockwise and scaled by `zoom` about its middle, to that of `size` cells."""
+    side = seen.shape[0]
+    c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    linear = zoom * np.array([[c, s], [-s, c]])
+    matrix = np.column_stack([linear, size / 2 - linear @ [side / 2 - 0.5, side / 2 - 0.5] - 0.5])
+    sigma = max(0.5 / zoom, 0.3)
+    weight = seen.astype(np.float32)
+    layers = np.dstack([rgb.astype(np.float32) * weight[..., None], weight])
+    turned = cv2.warpAffine(cv2.GaussianBlur(layers, (0, 0), sigma), matrix, (size, size), flags=cv2.INTER_LINEAR)
+    v, u = np.nonzero(turned[..., 3] > 0.5)
+    if len(u) > MOST_POINTS:
+        kept = np.linspace(0, len(u) - 1, MOST_POINTS).astype(np.int64)
+        u, v = u[kept], v[kept]
+    colours = (turned[v, u, :3] / turned[v, u, 3:]).clip(0, 255)
+    return GroundCells(np.column_stack([u, v]), colour_channels(colours[None])[:, 0])
