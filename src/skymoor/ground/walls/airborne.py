@@ -72,11 +72,11 @@ class GroundOptions:
     max_blocked: float = field(default=0.1, metadata=FIXED)
     max_angle_deg: float = field(default=12.0, metadata=FIXED)
     max_gap_m: float = field(default=1.5, metadata=FIXED)
-    finalists: int = 12
+    finalists: int = 20
     matched: int = 3
     rounds: int = field(default=2, metadata=FIXED)
     min_kept: float = field(default=0.7, metadata=FIXED)
-    screen: RefineOptions = field(default_factory=lambda: RefineOptions(trials=45, sizes=(2.5,)), metadata=FIXED)
+    screen: RefineOptions = field(default_factory=lambda: RefineOptions(trials=32, sizes=(2.5,)), metadata=FIXED)
     refine: RefineOptions = field(default_factory=RefineOptions, metadata=FIXED)
     perturbation: PerturbationOptions = field(default_factory=PerturbationOptions, metadata=FIXED)
     picture_px: int = field(default=2000, metadata=FIXED)

@@ -15,7 +15,7 @@ from skymoor.ground.plan_view import PlanScores, plan_model, search_plan
 from skymoor.ground.surface import surface_of
 from skymoor.ground.wall_planes import Wall, find_walls
 from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions, transformed_depth_map
-from skymoor.ground.walls.consensus import RefinedHypothesis, WallHypothesis
+from skymoor.ground.walls.consensus import RefinedHypothesis, WallHypothesis, agreement_in_both
 from skymoor.ground.walls.dense import photo_matches, wall_matches
 from skymoor.ground.walls.facade_pairs import pair_facades
 from skymoor.ground.walls.facade_search import agreement, search_facades
@@ -27,6 +27,8 @@ from skymoor.types import Array, DepthMap, Matches3D, Progress, Registration
 
 HEIGHTS_M = (1.0, 1.7, 2.4, 3.2, 4.2, 5.5)  # of cameras above the ground, tried; the refinement closes the gaps
 
+AHEAD = 4.0  # level units, which are camera heights: as far as walls usually are
+
 
 def _plan_of(
     maps_level: Sequence[DepthMap], airborne: AirborneWalls, options: GroundOptions, rng: np.random.Generator
@@ -37,6 +39,14 @@ def _plan_of(
         return PlanScores(plan_model(maps_level, rng=rng), airborne.plan, limits)
     except DegenerateGeometry:
         return None
+
+
+def view_probes(maps: Sequence[DepthMap]) -> Array:
+    """Points (2 n, 3) by which places and views of photos are compared: cameras, and points `AHEAD` before each."""
+    cameras = [one.camera for one in maps]
+    centres = np.array([camera.centre for camera in cameras]).reshape(-1, 3)
+    axes = np.array([camera.cam_from_world.rotation[2] for camera in cameras]).reshape(-1, 3)
+    return np.concatenate([centres, centres + AHEAD * axes])
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,15 +174,20 @@ class ComponentSearch:
         return best
 
     def refined_as_a_whole(self, hypothesis: RefinedHypothesis, options: RefineOptions) -> RefinedHypothesis:
-        """Maximise the agreement of all photos with all walls.
+        """Maximise the agreement of all photos with all walls, and in plan.
 
         Matches align the view of each photo with a wall, one by one; where walls repeat themselves, or only one is
         large, that leaves an offset of the whole model. Here the model is moved as a whole.
         """
         start = hypothesis.enu_from_level
         pivot = start.apply(view_rays_of(self.maps, rng=self.rng).ends.reshape(-1, 3)).mean(axis=0)
-        best = refine_pose(start, pivot, lambda trial: self._agreement(trial)[1], options)
+        best = refine_pose(start, pivot, self._agreement_of_pose, options)
         return self._scored(hypothesis.origin, hypothesis.registration, best, hypothesis.cells)
+
+    def _agreement_of_pose(self, enu_from_metric: Similarity) -> float:
+        """In elevation and in plan together, as the evidence counts them."""
+        in_plan = float("nan") if self.plan is None else self.plan.at(enu_from_metric @ self.metric_from_level)
+        return agreement_in_both(self._agreement(enu_from_metric)[1], in_plan)
 
     def with_background(self, hypothesis: RefinedHypothesis) -> RefinedHypothesis:
         """The hypothesis with the scores of perturbed positions around it."""

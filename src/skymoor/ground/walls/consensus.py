@@ -87,6 +87,12 @@ def pool_hypotheses(
     return kept[: options.keep]
 
 
+def agreement_in_both(score: float, plan_score: float) -> float:
+    """Agreement in elevation and in plan, where it is known, in units of their usual spread."""
+    in_plan = 0.0 if np.isnan(plan_score) else max(plan_score, 0.0)
+    return float(np.log(max(score, 1.0))) / SCORE_SPREAD + in_plan / PLAN_SPREAD
+
+
 @dataclass(frozen=True, eq=False)
 class RefinedHypothesis:
     """A hypothesis after refinement, with its agreement with the photos.
@@ -116,10 +122,9 @@ class RefinedHypothesis:
 
         Of the score the logarithm, whose spread over wrong hypotheses is alike at large and small components.
         """
-        in_plan = 0.0 if np.isnan(self.plan_score) else max(self.plan_score, 0.0)
-        in_elevation = float(np.log(max(self.score, 1.0))) / SCORE_SPREAD + self.contrast / CONTRAST_SPREAD
+        agreement = agreement_in_both(self.score, self.plan_score) + self.contrast / CONTRAST_SPREAD
         unusual = np.log(max(self.height_m, LEAST_HEIGHT_M) / USUAL_HEIGHT_M) / HEIGHT_SPREAD
-        return in_elevation + in_plan / PLAN_SPREAD - float(np.nan_to_num(unusual**2 / 2))
+        return agreement - float(np.nan_to_num(unusual**2 / 2))
 
     @property
     def contrast(self) -> float:
@@ -172,7 +177,7 @@ def decide_ground(
 
     Args:
         candidates: refined hypotheses, the best one first, some of them of the same position.
-        probes: points (n, 3) of the model; see `pool_hypotheses`.
+        probes: points (n, 3) of the model by which places and views are compared.
         options: thresholds.
     """
     options = options or AcceptanceOptions()
@@ -182,7 +187,7 @@ def decide_ground(
     # Cameras in the air or behind walls make neither the best hypothesis nor a competing one.
     possible = [c for c in candidates if _possible(c, options)] or list(candidates)
     best, found = possible[0], possible[0].registration
-    elsewhere = [c for c in possible if _apart(best.enu_from_level, c.enu_from_level, probes) >= options.apart_m]
+    elsewhere = _elsewhere(possible, probes, options.apart_m)
     second = max((c.contrast for c in elsewhere), default=0.0)
     chance = _chance(best, elsewhere) if elsewhere else 0.0
     diagnostics = {
@@ -205,6 +210,15 @@ def decide_ground(
     needed = options.min_contrast if len(elsewhere) >= options.min_rivals else options.lone_contrast
     criteria = [found_any, *_criteria(best, needed, chance, options)]
     return with_criteria(replace(found, diagnostics=diagnostics), criteria)
+
+
+def _elsewhere(candidates: Sequence[RefinedHypothesis], probes: Array, apart_m: float) -> list[RefinedHypothesis]:
+    """Those of other places than the first, each place once: neighbours share what makes them agree."""
+    kept = [candidates[0]]
+    for one in candidates[1:]:
+        if all(_apart(one.enu_from_level, other.enu_from_level, probes) >= apart_m for other in kept):
+            kept.append(one)
+    return kept[1:]
 
 
 def _chance(best: RefinedHypothesis, elsewhere: Sequence[RefinedHypothesis]) -> float:

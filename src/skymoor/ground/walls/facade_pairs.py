@@ -39,7 +39,7 @@ class FacadePairOptions:
     margin_m: float = 1.0
     tolerance_m: float = 0.6
     clearance_m: float = 1.0
-    photos: int = 6
+    photos: int = 4
     blend: int = 2
 
 
@@ -96,14 +96,14 @@ def _seeing(facade: Facade, centres: Array, heights: HeightRaster, options: Faca
     wall = facade.wall
     distance = np.linalg.norm(centres - wall.centre, axis=1)
     cosine = (centres[:, :2] @ wall.normal - wall.offset) / np.maximum(distance, 1e-9)
+    seeing: Mask = (distance < options.max_distance_m) & (cosine > options.min_cosine)
+    if not seeing.any():
+        return seeing
     # Half a metre in front of the wall: cells of the height raster extend over its edge.
     target = wall.centre + 0.5 * np.array([*wall.normal, 0.0])
     line_of_sight = centres + np.linspace(0.05, 0.9, 16)[:, None, None] * (target - centres)
-    blocked = (line_of_sight[..., 2] < heights.at(line_of_sight[..., :2], only_seen=True) - options.clearance_m).any(
-        axis=0
-    )
-    seeing: Mask = (distance < options.max_distance_m) & (cosine > options.min_cosine) & ~blocked
-    return seeing
+    below = line_of_sight[..., 2] < heights.at(line_of_sight[..., :2], only_seen=True) - options.clearance_m
+    return np.asarray(seeing & ~below.any(axis=0))
 
 
 def _on_grid(own: Facade, facade: Facade, options: FacadePairOptions) -> FacadePair:

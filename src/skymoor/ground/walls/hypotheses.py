@@ -15,7 +15,7 @@ from skymoor.types import Array, Registration
 class WallHypotheses:
     """All refined hypotheses of a component, the best one first; see `Hypotheses`.
 
-    `probes` (n, 3) are cameras and corners of walls in the level frame; `counts` is the extent of the search.
+    `probes` (n, 3) are points of the level frame by which places are compared; `counts` is the extent of the search.
     """
 
     candidates: tuple[RefinedHypothesis, ...]

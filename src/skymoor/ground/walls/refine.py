@@ -38,7 +38,7 @@ class RefineOptions:
 class PerturbationOptions:
     """Number and distances of the perturbed poses around a hypothesis."""
 
-    count: int = 24
+    count: int = 16
     min_m: float = 1.5
     max_m: float = 5.0
 

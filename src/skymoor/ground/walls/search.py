@@ -9,7 +9,7 @@ import numpy as np
 
 from skymoor.geometry import Similarity
 from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions
-from skymoor.ground.walls.component import ComponentSearch
+from skymoor.ground.walls.component import ComponentSearch, view_probes
 from skymoor.ground.walls.consensus import RefinedHypothesis, pool_hypotheses
 from skymoor.ground.walls.hypotheses import WallHypotheses
 from skymoor.types import DepthMap, Progress, no_progress
@@ -45,11 +45,19 @@ def search_ground(
     single = search.wall_hypotheses(progress)
     pooled = pool_hypotheses(single, search.probes, options.pool)
     scored = [*(search.refined_by_walls(hypothesis) for hypothesis in pooled), *search.plan_hypotheses(progress)]
-    ranked = sorted(scored, key=lambda hypothesis: -hypothesis.evidence)
-    refined = _refined(ranked[: options.finalists], search, progress)
+    refined = _refined(_finalists(scored, options.finalists), search, progress)
     counts = {"walls": len(search.searched), "guesses": len(single), "answers": len(pooled), "scored": len(scored)}
-    probes = metric_from_level.inverse().apply(search.probes)
-    return WallHypotheses(tuple(refined), probes, {name: float(n) for name, n in counts.items()}, options.acceptance)
+    return WallHypotheses(
+        tuple(refined), view_probes(maps_level), {name: float(n) for name, n in counts.items()}, options.acceptance
+    )
+
+
+def _finalists(scored: Sequence[RefinedHypothesis], count: int) -> list[RefinedHypothesis]:
+    """The best by evidence and the best in plan, where steps of the search matter less, in turn."""
+    by_evidence = sorted(scored, key=lambda hypothesis: -hypothesis.evidence)
+    in_plan = sorted(scored, key=lambda hypothesis: -np.nan_to_num(hypothesis.plan_score, nan=-np.inf))
+    in_turn = [one for both in zip(by_evidence, in_plan, strict=True) for one in both]
+    return list({id(one): one for one in in_turn}.values())[:count]
 
 
 def _refined(
