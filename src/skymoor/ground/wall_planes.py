@@ -8,6 +8,7 @@ of the plan, weighted by how many heights each holds; then the best lines are ta
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +69,7 @@ class Wall:
     z1: float
     area_m2: float
 
-    @property
+    @cached_property
     def right(self) -> Array:
         """Unit vector (2,) along the wall."""
         return np.array([-self.normal[1], self.normal[0]])
@@ -77,12 +78,12 @@ class Wall:
         """The point (3,) of the plane at s along the wall and height z."""
         return np.array([*(self.normal * self.offset + self.right * s), z])
 
-    @property
+    @cached_property
     def centre(self) -> Array:
         """Middle of the rectangle, (3,)."""
         return self.point((self.s0 + self.s1) / 2, (self.z0 + self.z1) / 2)
 
-    @property
+    @cached_property
     def corners(self) -> Array:
         """The four corners, (4, 3)."""
         return np.array([self.point(s, z) for s in (self.s0, self.s1) for z in (self.z0, self.z1)])

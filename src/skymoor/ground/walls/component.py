@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,11 +17,12 @@ from skymoor.ground.wall_planes import Wall, find_walls
 from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions, transformed_depth_map
 from skymoor.ground.walls.consensus import RefinedHypothesis, WallHypothesis, agreement_in_both
 from skymoor.ground.walls.dense import photo_matches, wall_matches
-from skymoor.ground.walls.facade_pairs import pair_facades
-from skymoor.ground.walls.facade_search import agreement, search_facades
+from skymoor.ground.walls.facade_pairs import FacadePair, pair_facades
+from skymoor.ground.walls.facade_search import agreement_of_channels, search_facades
 from skymoor.ground.walls.facades import Facade, facade_of, similarity_between
 from skymoor.ground.walls.refine import RefineOptions, perturbed, refine_pose
 from skymoor.ground.walls.visibility import check_visibility, view_rays_of
+from skymoor.match.channels import Channels, make_channels
 from skymoor.registration import independent_cells, register, restated, with_covariance_of
 from skymoor.types import Array, DepthMap, Matches3D, Progress, Registration
 
@@ -64,6 +65,7 @@ class ComponentSearch:
     options: GroundOptions
     rng: np.random.Generator
     plan: PlanScores | None
+    _channels: dict[tuple[float, ...], Channels] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -268,4 +270,12 @@ class ComponentSearch:
         """Of all photos with all airborne walls that they should see: NCC, score, and the number of these walls."""
         airborne, options = self.airborne, self.options
         pairs = pair_facades(airborne.facades, airborne.heights, self.maps, enu_from_metric, options.facade_pairs)
-        return *agreement([(pair.ground, pair.airborne) for pair in pairs], options.search), len(pairs)
+        channels = [(make_channels(pair.ground, options.search.sharp), self._of_airborne(pair)) for pair in pairs]
+        return *agreement_of_channels(channels), len(pairs)
+
+    def _of_airborne(self, pair: FacadePair) -> Channels:
+        """Channels of the airborne side of a pair, which hardly depends on the pose."""
+        key = (id(pair.facade), *pair.offset_px.tolist(), *pair.airborne.mask.shape)
+        if key not in self._channels:
+            self._channels[key] = make_channels(pair.airborne, self.options.search.blurred)
+        return self._channels[key]

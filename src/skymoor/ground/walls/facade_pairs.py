@@ -16,7 +16,7 @@ from skymoor.geometry import Similarity
 from skymoor.ground.wall_planes import transformed_wall
 from skymoor.ground.walls.facades import Facade, FacadeOptions, facade_of
 from skymoor.ground.walls.visibility import HeightRaster
-from skymoor.types import Array, DepthMap, Mask, Raster
+from skymoor.types import Array, DepthMap, Raster
 
 FEWEST_PX = 100
 
@@ -78,32 +78,61 @@ def pair_facades(
         photos=options.photos,
         blend=options.blend,
     )
-    centres = enu_from_level.apply(np.array([m.camera.centre for m in maps_level]).reshape(-1, 3))
+    if not facades or not maps_level:
+        return []
+    quality = _quality(facades, maps_level, enu_from_level, heights, options)
     found = []
-    for facade in facades:
-        seeing = np.flatnonzero(_seeing(facade, centres, heights, options)).tolist()
+    for facade, of_photos in zip(facades, quality, strict=True):
+        finest = np.argsort(-of_photos, kind="stable")[: options.photos]
+        seeing = [maps_level[i] for i in finest if of_photos[i] > 0]
         if not seeing:
             continue
         wall = transformed_wall(facade.wall, level_from_enu)
-        orthophoto = facade_of(wall, [maps_level[i] for i in seeing], facade.pixel_m * level_per_m, in_level)
+        orthophoto = facade_of(wall, seeing, facade.pixel_m * level_per_m, in_level)
         if orthophoto.raster.mask.sum() >= FEWEST_PX:
             found.append(_on_grid(orthophoto, facade, options))
     return found
 
 
-def _seeing(facade: Facade, centres: Array, heights: HeightRaster, options: FacadePairOptions) -> Mask:
-    """Which cameras (n, 3) are in front of the wall, near enough, and with a free line of sight."""
-    wall = facade.wall
-    distance = np.linalg.norm(centres - wall.centre, axis=1)
-    cosine = (centres[:, :2] @ wall.normal - wall.offset) / np.maximum(distance, 1e-9)
-    seeing: Mask = (distance < options.max_distance_m) & (cosine > options.min_cosine)
-    if not seeing.any():
-        return seeing
+def _quality(
+    facades: Sequence[Facade],
+    maps_level: Sequence[DepthMap],
+    enu_from_level: Similarity,
+    heights: HeightRaster,
+    options: FacadePairOptions,
+) -> Array:
+    """Pixels per metre (f, n) of photos on walls; zero where a photo does not see any of a wall.
+
+    It does when it is in front of the wall, near enough, with some of the wall in its frame and a free line of sight.
+    """
+    cameras = [one.camera for one in maps_level]
+    lenses = np.array([[c.intrinsics.fx, c.intrinsics.fy, c.intrinsics.cx, c.intrinsics.cy] for c in cameras])
+    sizes = np.array([[c.intrinsics.width, c.intrinsics.height] for c in cameras])
+    axes = np.array([c.cam_from_world.rotation for c in cameras]) @ enu_from_level.rotation.T
+    centres = enu_from_level.apply(np.array([c.centre for c in cameras]))
+    walls = [facade.wall for facade in facades]
+    targets = np.array([[*wall.corners, wall.centre] for wall in walls])  # (f, 5, 3)
+    normals, offsets = np.array([wall.normal for wall in walls]), np.array([wall.offset for wall in walls])
+    before = normals @ centres[:, :2].T - offsets[:, None]  # (f, n)
+    arms = targets[:, None] - centres[None, :, None]  # (f, n, 5, 3)
+    distance = np.maximum(np.linalg.norm(arms, axis=3), 1e-9)
+    seeing = (distance[..., 4] < options.max_distance_m) & (before > options.min_cosine * distance[..., 4])
+    rays = np.einsum("nij,fnkj->fnki", axes, arms)
+    px = rays[..., :2] / np.maximum(rays[..., 2:], 1e-6) * lenses[None, :, None, :2] + lenses[None, :, None, 2:]
+    ahead = rays[..., 2] > 0
+    # A long wall may cross the image with all its corners outside: the box around them decides.
+    outside = (px.max(axis=2) < 0).any(axis=2) | (px.min(axis=2) > sizes).any(axis=2)
+    seeing &= ahead.any(axis=2) & ~(ahead.all(axis=2) & outside)
+    fineness = np.median(before[..., None] / distance**2, axis=2) * lenses[:, 0]
+    which, who = np.nonzero(seeing)
     # Half a metre in front of the wall: cells of the height raster extend over its edge.
-    target = wall.centre + 0.5 * np.array([*wall.normal, 0.0])
-    line_of_sight = centres + np.linspace(0.05, 0.9, 16)[:, None, None] * (target - centres)
-    below = line_of_sight[..., 2] < heights.at(line_of_sight[..., :2], only_seen=True) - options.clearance_m
-    return np.asarray(seeing & ~below.any(axis=0))
+    ends = targets[which, 4] + 0.5 * np.column_stack([normals[which], np.zeros(len(which))])
+    line_of_sight = centres[who] + np.linspace(0.05, 0.9, 16)[:, None, None] * (ends - centres[who])
+    surface = heights.at(line_of_sight[..., :2], only_seen=True)
+    free = ~(line_of_sight[..., 2] < surface - options.clearance_m).any(axis=0)
+    quality = np.zeros(seeing.shape)
+    quality[which[free], who[free]] = fineness[which[free], who[free]]
+    return quality
 
 
 def _on_grid(own: Facade, facade: Facade, options: FacadePairOptions) -> FacadePair:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skymoor.match.channels import ChannelOptions, make_channels
+from skymoor.match.channels import N_COLOUR, ChannelOptions, Channels, make_channels
 from skymoor.match.correlate import Target, correlate, peaks
 from skymoor.match.pyramid import Pyramid
 from skymoor.types import Array, Progress, Raster, no_progress
@@ -144,13 +144,19 @@ def agreement(
     The first of each pair is the ground orthophoto, resampled to the pixels of the second.
     """
     options = options or FacadeSearchOptions()
+    return agreement_of_channels(
+        [(make_channels(ground, options.sharp), make_channels(airborne, options.blurred)) for ground, airborne in pairs]
+    )
+
+
+def agreement_of_channels(pairs: Sequence[tuple[Channels, Channels]]) -> tuple[float, float]:
+    """See `agreement`."""
     product = energy_a = energy_b = pixels = 0.0
-    for ground, airborne in pairs:
-        a, b = make_channels(ground, options.sharp), make_channels(airborne, options.blurred)
+    for a, b in pairs:
         both = a.known[0] * b.known[0]
-        product += float((a.values * b.values * both).sum())
-        energy_a += float((a.values**2 * both).sum())
-        energy_b += float((b.values**2 * both).sum())
+        product += float(np.vdot(a.values[:N_COLOUR] * both, b.values[:N_COLOUR]))
+        energy_a += float(np.vdot(a.values[:N_COLOUR] * both, a.values[:N_COLOUR]))
+        energy_b += float(np.vdot(b.values[:N_COLOUR] * both, b.values[:N_COLOUR]))
         pixels += float(both.sum())
     ncc = product / max(float(np.sqrt(energy_a * energy_b)), 1e-12)
     return ncc, ncc * float(np.sqrt(pixels))

@@ -105,12 +105,13 @@ def facade_of(
     shape = (int(np.ceil(height / pixel_m)), int(np.ceil(width / pixel_m)))
     empty = Raster(np.zeros((*shape, 3), np.uint8), np.zeros(shape, dtype=bool))
     facade = Facade(wall, empty, pixel_m, wall.s0 - margin, wall.z1 + margin)
+    photos = _sharpest(wall, maps, options)
+    if not photos:
+        return facade
     u, v = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
     xyz = facade.xyz(np.column_stack([u.ravel(), v.ravel()])).reshape(*shape, 3)
-    photos = _sharpest(wall, maps, options)
-    layers = [_layer(wall, xyz, depth_map, options, hidden) for depth_map in photos]
-    if not layers:
-        return facade
+    within = _within(wall, xyz, options.no_depth_margin_m)
+    layers = [_layer(wall, xyz, within, depth_map, options, hidden) for depth_map in photos]
     weights = np.stack([layer.shown for layer in layers])
     sharpest = np.sort(weights, axis=0)[-options.blend :]
     weights = np.where(weights >= np.maximum(sharpest[0], sharpest[-1] / 2), weights, 0)
@@ -181,31 +182,40 @@ def _detail(wall: Wall, depth_map: DepthMap) -> tuple[float, float]:
     return pixel / max(across, 1e-3), pixel / max(level, 1e-3)
 
 
-def _layer(wall: Wall, xyz: Array, depth_map: DepthMap, options: FacadeOptions, hidden: Hidden | None = None) -> _Layer:
+def _within(wall: Wall, xyz: Array, margin: float) -> Mask:
+    """Which points of its plane (h, w, 3) belong to a wall even where no depth says so."""
+    up, along = xyz[..., 2], xyz[..., :2] @ wall.right
+    inside: Mask = (up >= wall.z0 - min(margin, NO_DEPTH_DOWN_M)) & (up <= wall.z1 + margin)
+    return inside & (along >= wall.s0 - margin) & (along <= wall.s1 + margin)
+
+
+def _layer(
+    wall: Wall, xyz: Array, within: Mask, depth_map: DepthMap, options: FacadeOptions, hidden: Hidden | None
+) -> _Layer:
     """Colours and weights of one photo on the wall."""
     camera, i = depth_map.camera, depth_map.camera.intrinsics
-    xyz_cam = camera.cam_from_world.apply(xyz)
-    z = xyz_cam[..., 2]
-    front = z > 1e-6
-    safe = np.where(front, z, 1.0)
-    u = np.where(front, xyz_cam[..., 0] / safe * i.fx + i.cx, -1e4).astype(np.float32)
-    v = np.where(front, xyz_cam[..., 1] / safe * i.fy + i.cy, -1e4).astype(np.float32)
-    front &= (u > 1) & (v > 1) & (u < i.width - 1) & (v < i.height - 1)
-    distance = np.linalg.norm(xyz - camera.centre, axis=-1)
+    pose = camera.cam_from_world
+    # This is most of the work of a search: single precision is a hundredth of a pixel.
+    middle = xyz.reshape(-1, 3).mean(axis=0)
+    linear, offset = (pose.scale * pose.rotation).astype(np.float32), pose.apply(middle[None])[0].astype(np.float32)
+    x, y, z = np.moveaxis((xyz - middle).astype(np.float32) @ linear.T + offset, -1, 0)
+    near = np.float32(1e-6)
+    inverse = 1 / np.maximum(z, near)
+    u, v = x * inverse * np.float32(i.fx) + np.float32(i.cx), y * inverse * np.float32(i.fy) + np.float32(i.cy)
+    front = (z > near) & (u > 1) & (v > 1) & (u < i.width - 1) & (v < i.height - 1)
+    distance = np.sqrt(x * x + y * y + z * z) / np.float32(pose.scale)
     height = float(camera.centre[:2] @ wall.normal) - wall.offset
-    cosine = height / distance
-    depth = sample_nearest(depth_map.depth, u, v)
-    # Distance of the observed surface behind the plane of the wall, along its normal.
-    behind = (depth / safe - 1) * height
-    weight = np.where(front & (cosine > options.min_cosine), cosine**1.5 * i.fx / distance, 0)
+    cosine = np.float32(height) / distance
+    front &= cosine > options.min_cosine
+    weight = np.where(front, cosine, 0) ** np.float32(1.5) * np.float32(i.fx) / distance
+    u, v = np.where(front, u, -1e4).astype(np.float32), np.where(front, v, -1e4).astype(np.float32)
     rgb = cv2.remap(depth_map.rgb, u - 0.5, v - 0.5, cv2.INTER_LINEAR).astype(np.float32)
     if hidden is not None:
         return _Layer(rgb, np.where(hidden(camera, xyz), 0, weight).astype(np.float32))
+    depth = sample_nearest(depth_map.depth, u, v)
     with np.errstate(invalid="ignore"):
+        # Distance of the observed surface behind the plane of the wall, along its normal.
+        behind = (depth * inverse - 1) * np.float32(height)
         seen = np.where(np.abs(behind) < options.tolerance_m, weight, 0)
-    grow = options.no_depth_margin_m
-    within = (xyz[..., 2] >= wall.z0 - min(grow, NO_DEPTH_DOWN_M)) & (xyz[..., 2] <= wall.z1 + grow)
-    along = xyz[..., :2] @ wall.right
-    within &= (along >= wall.s0 - grow) & (along <= wall.s1 + grow)
     shown = np.where(within & np.isnan(depth), options.no_depth_weight * weight, seen)
     return _Layer(rgb, shown.astype(np.float32))
