@@ -186,26 +186,36 @@ KINDS: dict[str, Kind] = {
         at="least",
         refusal="contrast {value} of the agreement with the airborne walls is below the minimum of {limit}",
         meaning="The photos must agree with the airborne walls much better at the hypothesis than a few metres aside, "
-        "where walls still overlap by coincidence.",
-        limit="at least ground.walls.acceptance.min_contrast; ground.walls.acceptance.lone_contrast with fewer than "
-        "ground.walls.acceptance.min_rivals hypotheses elsewhere to compare with",
+        "where walls still overlap by coincidence; otherwise the place may be right and the position a few metres off.",
+        limit="at least ground.walls.acceptance.min_contrast",
         remedy="Take more photos that overlap and go round a corner: two sides of a house determine what one cannot; "
         "the figure of the walls in the report shows what was compared.",
         spec=".1f",
     ),
     "chance_of_evidence": Kind(
-        name="chance of as much evidence elsewhere",
+        name="chance of as much evidence at a wrong place",
         scopes=("walls",),
         at="most",
-        refusal="hypotheses elsewhere reach evidence {second_evidence:.1f}, the best {evidence:.1f}: one of as many "
-        "wrong ones does so with probability {value}; at most {limit} is allowed",
-        meaning="Agreement in elevation and in plan together must stand out from those of the hypotheses elsewhere, "
-        "which are wrong and show what chance reaches with the same photos.",
-        limit="at most ground.walls.acceptance.max_chance; the contrast decides without any hypothesis elsewhere",
-        remedy="Take photos that show where a repetition ends, such as the corner of a row of houses, "
+        refusal="a wrong place agrees as well in plan ({plan_score:.1f}) and in the matches of its photos "
+        "({cells:.0f} independent cells) with probability {value}; at most {limit} is allowed",
+        meaning="Agreement in plan (walls on height steps, free space, ground on the orthophoto) and the number of "
+        "places where matches of the photos agree must exceed what mirrored and misplaced components reach.",
+        limit="at most ground.walls.acceptance.max_chance",
+        remedy="Take more photos that overlap, show the ground before the walls and go round a corner, "
         "and airborne photos at a slant that show walls.",
         spec=".2g",
         unit="%",
+    ),
+    "likelihood_ratio": Kind(
+        name="likelihood of this place over that of the next",
+        scopes=("walls",),
+        at="least",
+        refusal="another place is nearly as likely: the ratio is {value}; at least {limit} is required",
+        meaning="Where walls and ground repeat themselves, the best place must be much more likely than any other.",
+        limit="at least ground.walls.acceptance.min_ratio",
+        remedy="Take photos that show where a repetition ends, such as the corner of a row of houses; "
+        "the figure of the walls in the report shows what was compared.",
+        spec=".2g",
     ),
     "min_camera_height": Kind(
         name="camera height above the ground",

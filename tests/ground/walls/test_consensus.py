@@ -21,12 +21,21 @@ def moved(east_m: float) -> Similarity:
 
 
 def candidate(
-    score: float, east_m: float = 0.0, cells: int = 40, perturbed: tuple[float, ...] = (8.0, 12.0)
+    score: float,
+    east_m: float = 0.0,
+    cells: int = 120,
+    perturbed: tuple[float, ...] = (8.0, 12.0),
+    plan_score: float = 10.0,
 ) -> RefinedHypothesis:
     found = Registration(True, "", moved(east_m), n_matches=200, n_inliers=150, tilt_deg=1.0)
-    return RefinedHypothesis(
-        WallHypothesis(moved(east_m), 0, 0, 30.0), found, moved(east_m), score, 0.5, 2, 1.6, 0.0, cells, perturbed
-    )
+    origin = WallHypothesis(moved(east_m), 0, 0, 30.0)
+    seen = (score, 0.5, 2, 1.6, 0.0, cells, perturbed, plan_score)
+    return RefinedHypothesis(origin, found, moved(east_m), *seen)
+
+
+def elsewhere(east_m: float) -> RefinedHypothesis:
+    """Of another place, as chance makes it."""
+    return candidate(30, east_m=east_m, cells=15, plan_score=5.0)
 
 
 def test_two_walls_that_agree_beat_a_better_one_that_stands_alone() -> None:
@@ -50,11 +59,12 @@ def test_two_hypotheses_of_one_wall_are_one_observation() -> None:
 
 
 def test_a_good_hypothesis_is_accepted_with_its_margin() -> None:
-    found = decide_ground([candidate(60), candidate(58, east_m=1.0), candidate(30, east_m=50)], PROBES)
+    found = decide_ground([candidate(60), candidate(58, east_m=1.0), elsewhere(50)], PROBES)
     assert found.registered
     # The hypothesis beside the best one is the same.
     assert found.diagnostics["second_score"] == 30
-    assert found.diagnostics["cells"] == 40
+    assert found.diagnostics["cells"] == 120
+    assert decide_ground([candidate(60)], PROBES).registered
 
 
 def test_the_contrast_is_the_excess_over_perturbed_positions() -> None:
@@ -63,26 +73,20 @@ def test_the_contrast_is_the_excess_over_perturbed_positions() -> None:
     assert candidate(60, perturbed=(50.0, 70.0)).contrast == 0
     assert candidate(5).contrast == 0
     assert candidate(60, perturbed=()).contrast == 0
-    found = decide_ground([candidate(60), candidate(50, east_m=60)], PROBES)
+    found = decide_ground([candidate(60), candidate(50, east_m=60, plan_score=5.0)], PROBES)
     assert found.diagnostics["contrast"] == pytest.approx(50 / np.sqrt(2))
     assert found.diagnostics["second_contrast"] == pytest.approx(40 / np.sqrt(2))
-
-
-def test_a_weak_hypothesis_needs_others_to_be_compared_with() -> None:
-    weak, elsewhere = candidate(28), [candidate(11, east_m=60.0 * k) for k in range(1, 7)]
-    assert decide_ground([weak, *elsewhere], PROBES).registered
-    assert not decide_ground([weak, elsewhere[0]], PROBES).registered
-    assert decide_ground([candidate(60)], PROBES).registered
 
 
 @pytest.mark.parametrize(
     ("candidates", "word"),
     [
         ([], "no wall"),
-        ([candidate(20)], "is below the minimum of 16"),
-        ([candidate(30)], "is below the minimum of 16"),
-        ([candidate(50), *(candidate(45, east_m=60.0 * k) for k in (1, 2, 3))], "hypotheses elsewhere reach evidence"),
-        ([candidate(60, cells=3)], "inliers lie in 3 independent cells"),
+        ([candidate(60, plan_score=4.0)], "a wrong place agrees as well"),
+        ([candidate(60, cells=30)], "a wrong place agrees as well"),
+        ([candidate(60, plan_score=float("nan"))], "a wrong place agrees as well"),
+        ([candidate(50), candidate(45, east_m=60.0, cells=90)], "another place is nearly as likely"),
+        ([candidate(60, cells=3, plan_score=25.0)], "inliers lie in 3 independent cells"),
         ([replace(candidate(60), height_m=9.0)], "is 9 m; at most 8 m"),
         ([replace(candidate(60), blocked=0.9)], "90 % of the viewing rays"),
         ([replace(candidate(60), registration=Registration(False, "open", None))], "open"),
@@ -120,21 +124,38 @@ def test_neighbouring_matches_are_one_cell() -> None:
     assert independent_cells(np.zeros((0, 3)), 2.0) == 0
 
 
-def test_evidence_grows_with_score_contrast_and_agreement_in_plan() -> None:
-    plain = candidate(40)
-    assert candidate(60).evidence > plain.evidence
+def test_order_and_likelihood_of_hypotheses() -> None:
+    plain = candidate(40, plan_score=6.0)
+    # Before matching: contrast and agreement in plan, less for a height that is unusual.
+    assert candidate(60, plan_score=6.0).evidence > plain.evidence
     assert replace(plain, perturbed_scores=()).evidence < plain.evidence
-    assert replace(plain, plan_score=6.0).evidence == pytest.approx(plain.evidence + 3.0)
+    assert replace(plain, plan_score=8.0).evidence > plain.evidence
+    assert replace(plain, height_m=5.0).evidence < plain.evidence
+    # After it: agreement in plan and the cells of the matches.
+    assert replace(plain, plan_score=8.0).likelihood > plain.likelihood
+    assert replace(plain, cells=240).likelihood == pytest.approx(plain.likelihood + 1.24 * np.log(241 / 121))
+    assert replace(plain, score=80.0).likelihood == plain.likelihood
     # What is not known in plan, and what contradicts there, is no evidence.
-    assert replace(plain, plan_score=-4.0).evidence == plain.evidence
+    assert replace(plain, plan_score=-4.0).likelihood == replace(plain, plan_score=float("nan")).likelihood
+    unmatched = replace(plain, registration=Registration(False, "", None))
+    assert unmatched.likelihood == pytest.approx(0.42 * 6.0)
 
 
-def test_the_chance_of_the_evidence_falls_with_its_lead_over_hypotheses_elsewhere() -> None:
-    def chance(score: float) -> float:
-        rivals = [candidate(20 + k, east_m=60.0 * (k + 1)) for k in range(6)]
-        found = decide_ground([candidate(score), *rivals], PROBES)
+def test_the_chance_of_the_likelihood_is_that_of_the_decoys() -> None:
+    def chance(cells: int, plan_score: float) -> float:
+        found = decide_ground([candidate(60, cells=cells, plan_score=plan_score), elsewhere(60)], PROBES)
         return next(one.value for one in found.criteria if one.kind == "chance_of_evidence")
 
-    assert chance(26) > 0.2
-    assert chance(40) < chance(30) < chance(26)
-    assert chance(60) < 1e-3
+    assert chance(25, 4.0) == pytest.approx(0.5, abs=0.15)
+    assert chance(100, 10.0) < chance(60, 8.0) < chance(25, 4.0)
+    assert chance(120, 11.0) < 0.01 < chance(80, 8.0)
+    assert chance(300, 20.0) < 1e-4
+
+
+def test_a_place_must_be_more_likely_than_any_other() -> None:
+    rival = candidate(60, east_m=60.0, cells=20)
+    found = decide_ground([candidate(60), rival], PROBES)
+    ratio = next(one.value for one in found.criteria if one.kind == "likelihood_ratio")
+    assert ratio == pytest.approx((121 / 21) ** 1.24, rel=1e-6)
+    assert not found.registered
+    assert decide_ground([candidate(60), replace(rival, cells=10)], PROBES).registered

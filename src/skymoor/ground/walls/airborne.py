@@ -53,7 +53,7 @@ class GroundOptions:
         max_blocked: share of the viewing rays of a hypothesis that may cross walls.
         max_angle_deg, max_gap_m: a ground wall and an airborne wall this close are matched densely.
         finalists: hypotheses that are refined as a whole with all photos; those elsewhere than the best show chance.
-        matched: the best of these, which are refined with dense matches too.
+        matched: the best of these at different places, which are refined with dense matches too.
         rounds: of that refinement, each from the end of the last one.
         screen, refine, perturbation: how finalists and matched hypotheses are refined as a whole, and compared with
             positions around.
@@ -73,7 +73,7 @@ class GroundOptions:
     max_angle_deg: float = field(default=12.0, metadata=FIXED)
     max_gap_m: float = field(default=1.5, metadata=FIXED)
     finalists: int = 20
-    matched: int = 3
+    matched: int = 5
     rounds: int = field(default=2, metadata=FIXED)
     min_kept: float = field(default=0.7, metadata=FIXED)
     screen: RefineOptions = field(default_factory=lambda: RefineOptions(trials=32, sizes=(2.5,)), metadata=FIXED)

@@ -8,20 +8,26 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
+from scipy.stats import t as student
 
 from skymoor.geometry import Similarity
 from skymoor.ground.plan_view import PlanSearchOptions
 from skymoor.registration.criteria import ESTIMATE, criterion, with_criteria
-from skymoor.registration.significance import predictive_tail
 from skymoor.types import Array, Criterion, Registration
 
 SCORE_SPREAD, CONTRAST_SPREAD, PLAN_SPREAD = 0.25, 2.0, 2.0
 """Usual spread of the logarithm of the score, of the contrast and of the score in plan, over wrong hypotheses."""
+CONTRAST_WEIGHT, PLAN_WEIGHT = 0.35, 0.58
+"""Of the order of hypotheses before their photos are matched: a conditional logit (McFadden 1974) of right and wrong
+ones on simulated sites, in which the score itself had no weight."""
+PLAN_LIKELIHOOD, CELLS_LIKELIHOOD = 0.42, 1.24
+"""Logarithm of the likelihood ratio of right to wrong placements, per unit of the score in plan and of ln(1 + cells):
+Fisher's linear discriminant on simulated sites, in which contrast had no weight beside these."""
+NULL_MEAN, NULL_SPREAD, NULL_COUNT = 5.4, 1.7, 36
+"""Of that sum over the best answers for mirrored and misplaced components there; see docs/benchmarks.md."""
 USUAL_HEIGHT_M, HEIGHT_SPREAD = PlanSearchOptions.usual_height_m, PlanSearchOptions.height_sigma
-LEAST_HEIGHT_M = 0.3
+LEAST_HEIGHT_M, LARGEST_LOG = 0.3, 20.0
 """Of cameras above the ground, log-normal: held by people, on dashboards (2 to 3.5 m with the vehicle) and on poles."""
-EVIDENCE_SPREAD, USUAL_RIVALS = 2.0, 4
-"""Usual spread of the evidence of wrong hypotheses of one component, and its weight beside the observed one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +95,12 @@ def pool_hypotheses(
 
 def agreement_in_both(score: float, plan_score: float) -> float:
     """Agreement in elevation and in plan, where it is known, in units of their usual spread."""
-    in_plan = 0.0 if np.isnan(plan_score) else max(plan_score, 0.0)
-    return float(np.log(max(score, 1.0))) / SCORE_SPREAD + in_plan / PLAN_SPREAD
+    return float(np.log(max(score, 1.0))) / SCORE_SPREAD + _positive(plan_score) / PLAN_SPREAD
+
+
+def _positive(score: float) -> float:
+    """What is unknown in plan, or contradicts there, is no evidence for a place."""
+    return 0.0 if np.isnan(score) else max(score, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,14 +127,25 @@ class RefinedHypothesis:
 
     @property
     def evidence(self) -> float:
-        """Agreement in elevation, its contrast, and agreement in plan, in units of their usual spread; less what speaks
-        against it, an unusual height of the cameras.
-
-        Of the score the logarithm, whose spread over wrong hypotheses is alike at large and small components.
-        """
-        agreement = agreement_in_both(self.score, self.plan_score) + self.contrast / CONTRAST_SPREAD
+        """What orders hypotheses before their photos are matched; less for an unusual height of the cameras."""
         unusual = np.log(max(self.height_m, LEAST_HEIGHT_M) / USUAL_HEIGHT_M) / HEIGHT_SPREAD
+        agreement = CONTRAST_WEIGHT * self.contrast + PLAN_WEIGHT * _positive(self.plan_score)
         return agreement - float(np.nan_to_num(unusual**2 / 2))
+
+    @property
+    def fit(self) -> float:
+        """What decides between hypotheses of one place: agreement in elevation and in plan, and its contrast."""
+        return agreement_in_both(self.score, self.plan_score) + self.contrast / CONTRAST_SPREAD
+
+    @property
+    def likelihood(self) -> float:
+        """Logarithm of the likelihood ratio of a right to a wrong placement, but for a constant.
+
+        It rests on what is independent of how walls look alike: agreement in plan, and the number of places in space
+        where matches of the photos agree.
+        """
+        in_elevation = float(np.log1p(self.cells)) if self.registration.registered else 0.0
+        return PLAN_LIKELIHOOD * _positive(self.plan_score) + CELLS_LIKELIHOOD * in_elevation
 
     @property
     def contrast(self) -> float:
@@ -145,9 +166,9 @@ class AcceptanceOptions:
     """When the best hypothesis is accepted.
 
     Attributes:
-        min_contrast: see `RefinedHypothesis`; docs/benchmarks.md has the values of right and wrong hypotheses.
-        max_chance: largest probability that one of as many wrong hypotheses has as much evidence as the best.
-        min_rivals, lone_contrast: with fewer hypotheses elsewhere to compare with, the contrast itself must be so high.
+        min_contrast: see `RefinedHypothesis`; below it the model may be a few metres aside or of another scale.
+        max_chance: largest probability that a wrong placement of a component has so high a likelihood.
+        min_ratio: least ratio of the likelihood to that of the best hypothesis elsewhere.
         apart_m: hypotheses are elsewhere if they put the model's probes at least this far, on average.
         min_inlier_ratio: of the dense matches (the paper's).
         min_cells, cell_m: cubes in space with inliers: neighbouring matches are correlated.
@@ -156,10 +177,9 @@ class AcceptanceOptions:
         max_blocked: share of viewing rays that may cross walls.
     """
 
-    min_contrast: float = 11.0
+    min_contrast: float = 6.0
     max_chance: float = 0.01
-    min_rivals: int = 2
-    lone_contrast: float = 16.0
+    min_ratio: float = 10.0
     apart_m: float = 5.0
     min_inlier_ratio: float = 0.2
     min_cells: int = 10
@@ -186,16 +206,17 @@ def decide_ground(
         return with_criteria(Registration(registered=False, reason="", enu_from_level=None), [found_any])
     # Cameras in the air or behind walls make neither the best hypothesis nor a competing one.
     possible = [c for c in candidates if _possible(c, options)] or list(candidates)
+    possible = sorted(possible, key=lambda c: -c.likelihood)
     best, found = possible[0], possible[0].registration
     elsewhere = _elsewhere(possible, probes, options.apart_m)
-    second = max((c.contrast for c in elsewhere), default=0.0)
-    chance = _chance(best, elsewhere) if elsewhere else 0.0
+    second = max((c.likelihood for c in elsewhere), default=0.0)
+    ratio = float(np.exp(min(best.likelihood - second, LARGEST_LOG)))
     diagnostics = {
         **found.diagnostics,
         "contrast": best.contrast,
-        "second_contrast": second,
-        "evidence": best.evidence,
-        "second_evidence": max((c.evidence for c in elsewhere), default=0.0),
+        "second_contrast": max((c.contrast for c in elsewhere), default=0.0),
+        "likelihood": best.likelihood,
+        "second_likelihood": second,
         "plan_score": best.plan_score,
         "score": best.score,
         "second_score": max((c.score for c in elsewhere), default=0.0),
@@ -207,8 +228,7 @@ def decide_ground(
         "blocked": best.blocked,
         "cells": float(best.cells),
     }
-    needed = options.min_contrast if len(elsewhere) >= options.min_rivals else options.lone_contrast
-    criteria = [found_any, *_criteria(best, needed, chance, options)]
+    criteria = [found_any, *_criteria(best, ratio, options)]
     return with_criteria(replace(found, diagnostics=diagnostics), criteria)
 
 
@@ -221,14 +241,13 @@ def _elsewhere(candidates: Sequence[RefinedHypothesis], probes: Array, apart_m: 
     return kept[1:]
 
 
-def _chance(best: RefinedHypothesis, elsewhere: Sequence[RefinedHypothesis]) -> float:
-    """Probability that the best of as many wrong hypotheses has so much evidence; those elsewhere are wrong."""
-    null = np.array([one.evidence for one in elsewhere])
-    one_more = predictive_tail(best.evidence, null, EVIDENCE_SPREAD, USUAL_RIVALS)
-    return float(-np.expm1((len(null) + 1) * np.log1p(-min(one_more, 1 - 1e-12))))
+def _chance(best: RefinedHypothesis) -> float:
+    """Probability that one more wrong placement has so high a likelihood (Student's predictive distribution)."""
+    spread = NULL_SPREAD * sqrt(1 + 1 / NULL_COUNT)
+    return float(student.sf((best.likelihood - NULL_MEAN) / spread, NULL_COUNT - 1))
 
 
-def _criteria(best: RefinedHypothesis, needed: float, chance: float, options: AcceptanceOptions) -> list[Criterion]:
+def _criteria(best: RefinedHypothesis, ratio: float, options: AcceptanceOptions) -> list[Criterion]:
     found, of_matches = best.registration, []
     if found.registered:
         of_matches = [
@@ -238,8 +257,9 @@ def _criteria(best: RefinedHypothesis, needed: float, chance: float, options: Ac
         ]
     return [
         criterion(ESTIMATE, found.registered, 1),
-        criterion("contrast", best.contrast, needed),
-        criterion("chance_of_evidence", chance, options.max_chance),
+        criterion("chance_of_evidence", _chance(best), options.max_chance),
+        criterion("likelihood_ratio", ratio, options.min_ratio),
+        criterion("contrast", best.contrast, options.min_contrast),
         *of_matches,
         criterion("min_camera_height", best.height_m, options.min_height_m),
         criterion("max_camera_height", best.height_m, options.max_height_m),

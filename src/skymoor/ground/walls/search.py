@@ -12,7 +12,7 @@ from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions
 from skymoor.ground.walls.component import ComponentSearch, view_probes
 from skymoor.ground.walls.consensus import RefinedHypothesis, pool_hypotheses
 from skymoor.ground.walls.hypotheses import WallHypotheses
-from skymoor.types import DepthMap, Progress, no_progress
+from skymoor.types import Array, DepthMap, Progress, no_progress
 
 
 def search_ground(
@@ -33,8 +33,9 @@ def search_ground(
         progress: counts the walls that are searched, then the hypotheses that are refined.
 
     Returns:
-        the hypotheses. The diagnostics of the registration that is decided from them are "contrast" and
-        "second_contrast" of the best hypothesis and of the best one elsewhere, their "score" and "second_score", "ncc",
+        the hypotheses. The diagnostics of the registration that is decided from them are "likelihood" and
+        "second_likelihood" of the best hypothesis and of the best one elsewhere, their "contrast", "second_contrast",
+        "score" and "second_score", "plan_score", "ncc",
         "walls_seen", "support" (walls that agree), "pooled_score" of these, "height_m", "blocked", "cells", and the
         extent of the search: "walls", "guesses" (hypotheses of single walls), "answers" (pooled ones).
     """
@@ -60,6 +61,29 @@ def _finalists(scored: Sequence[RefinedHypothesis], count: int) -> list[RefinedH
     return list({id(one): one for one in in_turn}.values())[:count]
 
 
+def _best_of_places(
+    ranked: Sequence[RefinedHypothesis], count: int, search: ComponentSearch
+) -> list[RefinedHypothesis]:
+    """Of each of the first places, which differ in cameras or views, the hypothesis that fits best.
+
+    Beside the right one there are others, a little larger or a bay aside, that are nearly as good in plan.
+    """
+    probes, places = view_probes(search.maps), list[list[RefinedHypothesis]]()
+    for one in ranked:
+        at = one.enu_from_level.apply(probes)
+        near = (place for place in places if _gap(at, place[0], probes) < search.options.acceptance.apart_m)
+        place = next(near, None)
+        if place is None:
+            places.append([one])
+        else:
+            place.append(one)
+    return [max(place, key=lambda hypothesis: hypothesis.fit) for place in places[:count]]
+
+
+def _gap(at: Array, other: RefinedHypothesis, probes: Array) -> float:
+    return float(np.linalg.norm(at - other.enu_from_level.apply(probes), axis=1).mean())
+
+
 def _refined(
     hypotheses: Sequence[RefinedHypothesis], search: ComponentSearch, progress: Progress
 ) -> list[RefinedHypothesis]:
@@ -68,11 +92,12 @@ def _refined(
     for done, hypothesis in enumerate(hypotheses):
         moved.append(search.with_background(search.refined_as_a_whole(hypothesis, search.options.screen)))
         progress(done + 1, len(hypotheses))
-    moved = sorted(moved, key=lambda hypothesis: -hypothesis.evidence)
+    ranked = sorted(moved, key=lambda hypothesis: -hypothesis.evidence)
+    matched = _best_of_places(ranked, search.options.matched, search)
     rescaled: dict[int, ComponentSearch] = {}
     found = []
-    for rank, hypothesis in enumerate(moved):
-        if rank >= search.options.matched:
+    for hypothesis in ranked:
+        if not any(hypothesis is one for one in matched):
             found.append(search.in_level_frame(hypothesis))
             continue
         # Scales this near find the same walls.
@@ -83,4 +108,4 @@ def _refined(
         current = own.refined_by_photos(own.taken_from(search, hypothesis))
         current = own.with_background(own.refined_as_a_whole(current, own.options.refine))
         found.append(own.in_level_frame(own.fitted_to_matches(current)))
-    return sorted(found, key=lambda hypothesis: -hypothesis.evidence)
+    return sorted(found, key=lambda hypothesis: -hypothesis.likelihood)

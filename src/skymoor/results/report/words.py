@@ -26,7 +26,7 @@ GLOSSARY = {
     "inliers": "Matches that agree with the transform within a limit; the inlier ratio is their share.",
     "residual": "What remains between a match of the model and of the reference after the transform.",
     "contrast": "How far ground photos agree better with the walls at the hypothesis than a few metres aside.",
-    "evidence": "Agreement of ground photos with walls and in plan; hypotheses elsewhere show what chance reaches.",
+    "likelihood": "Agreement of ground photos in plan and in matches; wrong placements show what chance reaches.",
     "heights CONFIRMED": "The relief of the reference is the model's; a constant offset of all heights cannot be seen.",
     "heights OFFSET_ONLY": "Heights hang on the mean of a reference that is flat, too coarse, or without relief.",
     "heights NOT_CONFIRMED": "The reference has no heights, or such that contradict the photos: none is written.",
