@@ -45,7 +45,7 @@ def hypotheses(*candidates: tuple[float, Similarity]) -> WallHypotheses:
     found = [Registration(True, "", place, n_matches=200, n_inliers=150, tilt_deg=1.0) for _, place in candidates]
     ranked = [
         RefinedHypothesis(
-            WallHypothesis(place, 0, 0, 30.0), registration, place, score, 0.5, 2, 1.6, 0.0, 40, (8.0, 12.0)
+            WallHypothesis(place, 0, 0, 30.0), registration, place, score, 0.5, 2, 1.6, 0.0, 200, (8.0, 12.0), score / 6
         )
         for registration, (score, place) in zip(found, candidates, strict=True)
     ]
@@ -93,7 +93,7 @@ def test_a_hypothesis_that_contradicts_another_component_is_excluded(
 ) -> None:
     """Alone the second component is refused, since two hypotheses compete; one of them contradicts the first."""
     clear, ambiguous = hypotheses((80.0, HERE)), hypotheses((60.0, into_the_way()), (55.0, HERE))
-    assert "hypotheses elsewhere reach evidence" in ambiguous.decide().reason
+    assert "another place is nearly as likely" in ambiguous.decide().reason
     found = decide_jointly(["a", "b"], [clear, ambiguous], [first, second])
     assert [r.registered for r in found] == [True, True]
     assert found[1].enu_from_level is HERE
@@ -128,7 +128,7 @@ def test_the_more_confident_component_is_kept(first: list[DepthMap], second: lis
 
 def test_scores_come_in_the_order_of_the_hypotheses() -> None:
     found = hypotheses((60.0, HERE), (20.0, into_the_way()))
-    assert found.scores == [candidate.evidence for candidate in found.candidates]
+    assert found.scores == [candidate.odds for candidate in found.candidates]
     assert found.scores[0] > found.scores[1] and len(found.similarities) == 2
     assert OneHypothesis(Registration(True, "", HERE, n_inliers=70)).scores == [70.0]
     assert OneHypothesis(Registration(False, "too few", None)).scores == []

@@ -207,10 +207,10 @@ KINDS: dict[str, Kind] = {
         unit="%",
     ),
     "likelihood_ratio": Kind(
-        name="likelihood of this place over that of the next",
+        name="odds of this place over those of the next",
         scopes=("walls",),
         at="least",
-        refusal="another place is nearly as likely: the ratio is {value}; at least {limit} is required",
+        refusal="another place is nearly as likely: the ratio of their odds is {value}; at least {limit} is required",
         meaning="Where walls and ground repeat themselves, the best place must be much more likely than any other.",
         limit="at least ground.walls.acceptance.min_ratio",
         remedy="Take photos that show where a repetition ends, such as the corner of a row of houses; "

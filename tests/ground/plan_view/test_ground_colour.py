@@ -45,7 +45,7 @@ def test_the_ground_is_where_it_was() -> None:
     ground = lawns(SIDE)
     rgb, shown = ground_picture([photo_of(ground)], np.zeros((SIDE, SIDE), np.float32), PIXEL, np.zeros(2))
     assert 500 < shown.sum() < 4000
-    rows, columns = np.nonzero(shown)
+    rows, _ = np.nonzero(shown)
     y = (SIDE / 2 - rows - 0.5) * PIXEL
     assert y.min() > 0.5 and NEAR - 0.5 < y.max() < NEAR + 0.01  # before the camera, and no further without free space
     assert np.abs(rgb[shown].astype(int) - ground[shown]).mean() < 3

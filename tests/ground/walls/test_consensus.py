@@ -82,10 +82,11 @@ def test_the_contrast_is_the_excess_over_perturbed_positions() -> None:
     ("candidates", "word"),
     [
         ([], "no wall"),
-        ([candidate(60, plan_score=4.0)], "a wrong place agrees as well"),
-        ([candidate(60, cells=30)], "a wrong place agrees as well"),
-        ([candidate(60, plan_score=float("nan"))], "a wrong place agrees as well"),
-        ([candidate(50), candidate(45, east_m=60.0, cells=90)], "another place is nearly as likely"),
+        ([candidate(25, plan_score=4.0)], "a wrong place agrees as well"),
+        ([candidate(25, cells=30)], "a wrong place agrees as well"),
+        ([candidate(25, plan_score=float("nan"))], "a wrong place agrees as well"),
+        ([candidate(12)], "contrast 1.4 of the agreement"),
+        ([candidate(50), candidate(48, east_m=60.0, cells=90)], "another place is nearly as likely"),
         ([candidate(60, cells=3, plan_score=25.0)], "inliers lie in 3 independent cells"),
         ([replace(candidate(60), height_m=9.0)], "is 9 m; at most 8 m"),
         ([replace(candidate(60), blocked=0.9)], "90 % of the viewing rays"),
@@ -134,21 +135,22 @@ def test_order_and_likelihood_of_hypotheses() -> None:
     # After it: agreement in plan and the cells of the matches.
     assert replace(plain, plan_score=8.0).likelihood > plain.likelihood
     assert replace(plain, cells=240).likelihood == pytest.approx(plain.likelihood + 1.24 * np.log(241 / 121))
-    assert replace(plain, score=80.0).likelihood == plain.likelihood
+    assert replace(plain, score=80.0).likelihood == pytest.approx(plain.likelihood + 0.1 * 40 / np.sqrt(2))
     # What is not known in plan, and what contradicts there, is no evidence.
     assert replace(plain, plan_score=-4.0).likelihood == replace(plain, plan_score=float("nan")).likelihood
     unmatched = replace(plain, registration=Registration(False, "", None))
-    assert unmatched.likelihood == pytest.approx(0.42 * 6.0)
+    assert unmatched.likelihood == pytest.approx(0.42 * 6.0 + 0.1 * plain.contrast)
+    assert unmatched.odds == unmatched.evidence == plain.evidence < plain.odds
 
 
 def test_the_chance_of_the_likelihood_is_that_of_the_decoys() -> None:
     def chance(cells: int, plan_score: float) -> float:
-        found = decide_ground([candidate(60, cells=cells, plan_score=plan_score), elsewhere(60)], PROBES)
+        found = decide_ground([candidate(20, cells=cells, plan_score=plan_score), elsewhere(60)], PROBES)
         return next(one.value for one in found.criteria if one.kind == "chance_of_evidence")
 
     assert chance(25, 4.0) == pytest.approx(0.5, abs=0.15)
     assert chance(100, 10.0) < chance(60, 8.0) < chance(25, 4.0)
-    assert chance(120, 11.0) < 0.01 < chance(80, 8.0)
+    assert chance(120, 11.0) < 0.01 < chance(60, 8.0)
     assert chance(300, 20.0) < 1e-4
 
 

@@ -20,11 +20,12 @@ SCORE_SPREAD, CONTRAST_SPREAD, PLAN_SPREAD = 0.25, 2.0, 2.0
 CONTRAST_WEIGHT, PLAN_WEIGHT = 0.35, 0.58
 """Of the order of hypotheses before their photos are matched: a conditional logit (McFadden 1974) of right and wrong
 ones on simulated sites, in which the score itself had no weight."""
-PLAN_LIKELIHOOD, CELLS_LIKELIHOOD = 0.42, 1.24
-"""Logarithm of the likelihood ratio of right to wrong placements, per unit of the score in plan and of ln(1 + cells):
-Fisher's linear discriminant on simulated sites, in which contrast had no weight beside these."""
-NULL_MEAN, NULL_SPREAD, NULL_COUNT = 5.4, 1.7, 36
-"""Of that sum over the best answers for mirrored and misplaced components there; see docs/benchmarks.md."""
+PLAN_LIKELIHOOD, CELLS_LIKELIHOOD, CONTRAST_LIKELIHOOD = 0.42, 1.24, 0.1
+"""Logarithm of the likelihood ratio of right to wrong placements, per unit of the score in plan, of ln(1 + cells) and
+of the contrast: Fisher's linear discriminant on sites simulated under real conditions. Contrast had no weight there
+beside the others; it has this one since it tells right from wrong where facades are seen well."""
+NULL_MEAN, NULL_SPREAD, NULL_COUNT = 6.5, 1.3, 20
+"""Of that sum over the best answers for components that were misplaced there; see docs/benchmarks.md."""
 USUAL_HEIGHT_M, HEIGHT_SPREAD = PlanSearchOptions.usual_height_m, PlanSearchOptions.height_sigma
 LEAST_HEIGHT_M, LARGEST_LOG = 0.3, 20.0
 """Of cameras above the ground, log-normal: held by people, on dashboards (2 to 3.5 m with the vehicle) and on poles."""
@@ -138,14 +139,23 @@ class RefinedHypothesis:
         return agreement_in_both(self.score, self.plan_score) + self.contrast / CONTRAST_SPREAD
 
     @property
-    def likelihood(self) -> float:
-        """Logarithm of the likelihood ratio of a right to a wrong placement, but for a constant.
+    def odds(self) -> float:
+        """Logarithm of the odds of a hypothesis among those of its component, but for a constant."""
+        return self.evidence + self._of_matches
 
-        It rests on what is independent of how walls look alike: agreement in plan, and the number of places in space
-        where matches of the photos agree.
+    @property
+    def likelihood(self) -> float:
+        """Logarithm of the likelihood ratio of a right to a wrong placement of any component, but for a constant.
+
+        It rests mostly on what is independent of how walls look alike: agreement in plan, and the number of places in
+        space where matches of the photos agree.
         """
-        in_elevation = float(np.log1p(self.cells)) if self.registration.registered else 0.0
-        return PLAN_LIKELIHOOD * _positive(self.plan_score) + CELLS_LIKELIHOOD * in_elevation
+        of_pictures = PLAN_LIKELIHOOD * _positive(self.plan_score) + CONTRAST_LIKELIHOOD * self.contrast
+        return of_pictures + self._of_matches
+
+    @property
+    def _of_matches(self) -> float:
+        return CELLS_LIKELIHOOD * float(np.log1p(self.cells)) if self.registration.registered else 0.0
 
     @property
     def contrast(self) -> float:
@@ -157,7 +167,8 @@ class RefinedHypothesis:
         if len(self.perturbed_scores) < 2:
             return 0.0
         gain = self.score - float(np.mean(self.perturbed_scores))
-        spread = max(float(np.std(self.perturbed_scores)), 1e-6)
+        # Scores are in standard deviations of noise.
+        spread = max(float(np.std(self.perturbed_scores)), 1.0)
         return max(gain, 0.0) / sqrt(spread)
 
 
@@ -168,7 +179,7 @@ class AcceptanceOptions:
     Attributes:
         min_contrast: see `RefinedHypothesis`; below it the model may be a few metres aside or of another scale.
         max_chance: largest probability that a wrong placement of a component has so high a likelihood.
-        min_ratio: least ratio of the likelihood to that of the best hypothesis elsewhere.
+        min_ratio: least ratio of the odds to those of the best hypothesis elsewhere.
         apart_m: hypotheses are elsewhere if they put the model's probes at least this far, on average.
         min_inlier_ratio: of the dense matches (the paper's).
         min_cells, cell_m: cubes in space with inliers: neighbouring matches are correlated.
@@ -206,17 +217,17 @@ def decide_ground(
         return with_criteria(Registration(registered=False, reason="", enu_from_level=None), [found_any])
     # Cameras in the air or behind walls make neither the best hypothesis nor a competing one.
     possible = [c for c in candidates if _possible(c, options)] or list(candidates)
-    possible = sorted(possible, key=lambda c: -c.likelihood)
+    possible = sorted(possible, key=lambda c: -c.odds)
     best, found = possible[0], possible[0].registration
     elsewhere = _elsewhere(possible, probes, options.apart_m)
-    second = max((c.likelihood for c in elsewhere), default=0.0)
-    ratio = float(np.exp(min(best.likelihood - second, LARGEST_LOG)))
+    lead = best.odds - max((c.odds for c in elsewhere), default=-np.inf)
+    ratio = float(np.exp(min(lead, LARGEST_LOG)))
     diagnostics = {
         **found.diagnostics,
         "contrast": best.contrast,
         "second_contrast": max((c.contrast for c in elsewhere), default=0.0),
         "likelihood": best.likelihood,
-        "second_likelihood": second,
+        "second_likelihood": max((c.likelihood for c in elsewhere), default=0.0),
         "plan_score": best.plan_score,
         "score": best.score,
         "second_score": max((c.score for c in elsewhere), default=0.0),

@@ -30,8 +30,8 @@ class WallHypotheses:
 
     @property
     def scores(self) -> list[float]:
-        """Evidence of each candidate."""
-        return [candidate.evidence for candidate in self.candidates]
+        """Odds of each candidate, as logarithms."""
+        return [candidate.odds for candidate in self.candidates]
 
     def decide(self, excluded: Collection[int] = ()) -> Registration:
         """The registration by the best hypothesis that is not in `excluded` (their numbers), accepted or refused."""

@@ -108,4 +108,4 @@ def _refined(
         current = own.refined_by_photos(own.taken_from(search, hypothesis))
         current = own.with_background(own.refined_as_a_whole(current, own.options.refine))
         found.append(own.in_level_frame(own.fitted_to_matches(current)))
-    return sorted(found, key=lambda hypothesis: -hypothesis.likelihood)
+    return sorted(found, key=lambda hypothesis: -hypothesis.odds)
