@@ -24,8 +24,10 @@ PLAN_LIKELIHOOD, CELLS_LIKELIHOOD, CONTRAST_LIKELIHOOD = 0.42, 1.24, 0.1
 """Logarithm of the likelihood ratio of right to wrong placements, per unit of the score in plan, of ln(1 + cells) and
 of the contrast: Fisher's linear discriminant on sites simulated under real conditions. Contrast had no weight there
 beside the others; it has this one since it tells right from wrong where facades are seen well."""
-NULL_MEAN, NULL_SPREAD, NULL_COUNT = 6.5, 1.3, 20
-"""Of that sum over the best answers for components that were misplaced there; see docs/benchmarks.md."""
+NULL_MEAN, NULL_SPREAD, NULL_COUNT = 7.0, 1.5, 30
+"""Of that sum over the best answers for components that were misplaced or mirrored; see docs/benchmarks.md."""
+UNAMBIGUOUS_SHARE = 0.25
+"""Of those answers (7 of 30): the ones that also have the contrast and the lead over other places that are needed."""
 USUAL_HEIGHT_M, HEIGHT_SPREAD = PlanSearchOptions.usual_height_m, PlanSearchOptions.height_sigma
 LEAST_HEIGHT_M, LARGEST_LOG = 0.3, 20.0
 """Of cameras above the ground, log-normal: held by people, on dashboards (2 to 3.5 m with the vehicle) and on poles."""
@@ -178,7 +180,7 @@ class AcceptanceOptions:
 
     Attributes:
         min_contrast: see `RefinedHypothesis`; below it the model may be a few metres aside or of another scale.
-        max_chance: largest probability that a wrong placement of a component has so high a likelihood.
+        max_chance: largest probability that a wrong placement of a component passes with so high a likelihood.
         min_ratio: least ratio of the odds to those of the best hypothesis elsewhere.
         apart_m: hypotheses are elsewhere if they put the model's probes at least this far, on average.
         min_inlier_ratio: of the dense matches (the paper's).
@@ -198,7 +200,7 @@ class AcceptanceOptions:
     max_tilt_deg: float = 6.0
     min_height_m: float = 0.5
     max_height_m: float = 8.0
-    max_blocked: float = 0.1
+    max_blocked: float = 0.2
 
 
 def decide_ground(
@@ -216,7 +218,8 @@ def decide_ground(
     if not candidates:
         return with_criteria(Registration(registered=False, reason="", enu_from_level=None), [found_any])
     # Cameras in the air or behind walls make neither the best hypothesis nor a competing one.
-    possible = [c for c in candidates if _possible(c, options)] or list(candidates)
+    matched = [c for c in candidates if c.registration.registered] or list(candidates)
+    possible = [c for c in matched if _possible(c, options)] or matched
     possible = sorted(possible, key=lambda c: -c.odds)
     best, found = possible[0], possible[0].registration
     elsewhere = _elsewhere(possible, probes, options.apart_m)
@@ -253,9 +256,12 @@ def _elsewhere(candidates: Sequence[RefinedHypothesis], probes: Array, apart_m: 
 
 
 def _chance(best: RefinedHypothesis) -> float:
-    """Probability that one more wrong placement has so high a likelihood (Student's predictive distribution)."""
+    """Probability that one more wrong placement has so high a likelihood, contrast and lead.
+
+    Of the likelihood by Student's predictive distribution, independent of the others.
+    """
     spread = NULL_SPREAD * sqrt(1 + 1 / NULL_COUNT)
-    return float(student.sf((best.likelihood - NULL_MEAN) / spread, NULL_COUNT - 1))
+    return UNAMBIGUOUS_SHARE * float(student.sf((best.likelihood - NULL_MEAN) / spread, NULL_COUNT - 1))
 
 
 def _criteria(best: RefinedHypothesis, ratio: float, options: AcceptanceOptions) -> list[Criterion]:
