@@ -16,21 +16,22 @@ from support.houses import houses, walk_round
 
 
 def at(east_m: float, *, score: float = 30.0, plan_score: float = 5.0) -> RefinedHypothesis:
+    """A hypothesis; without contrast, as the search finds it."""
     place = Similarity(1.0, np.eye(3), np.array([east_m, 0.0, 0.0]))
     nothing = Registration(False, "", None)
-    seen = (score, 0.5, 2, 1.6, 0.0, 0, (8.0, 12.0), plan_score)
+    seen = (score, 0.5, 2, 1.6, 0.0, 0, (), plan_score)
     return RefinedHypothesis(WallHypothesis(place, 0, 0, 30.0), nothing, place, *seen)
 
 
-def test_finalists_are_the_best_by_evidence_and_the_best_in_plan() -> None:
-    by_contrast = [at(10.0 * k, score=60.0 - k, plan_score=1.0) for k in range(5)]
+def test_finalists_are_those_that_fit_best_and_the_best_in_plan() -> None:
+    on_walls = [at(10.0 * k, score=60.0 - k, plan_score=1.0) for k in range(5)]
     in_plan = [at(500 + 10.0 * k, score=9.0, plan_score=8.0 - k / 10) for k in range(5)]
     unknown = replace(in_plan[0], plan_score=float("nan"))
-    found = _finalists([*in_plan, *by_contrast, unknown], 6)
+    found = _finalists([*in_plan, *on_walls, unknown], 6)
     assert len(found) == len({id(one) for one in found}) == 6
-    assert sum(any(one is other for other in by_contrast) for one in found) == 3
+    assert sum(any(one is other for other in on_walls) for one in found) == 3
     assert sum(any(one is other for other in in_plan) for one in found) == 3
-    assert _finalists(by_contrast[:2], 6) == by_contrast[:2]
+    assert _finalists(on_walls[:2], 6) == on_walls[:2]
 
 
 def test_of_each_place_the_best_fit_is_matched() -> None:

@@ -130,15 +130,22 @@ class RefinedHypothesis:
 
     @property
     def evidence(self) -> float:
-        """What orders hypotheses before their photos are matched; less for an unusual height of the cameras."""
-        unusual = np.log(max(self.height_m, LEAST_HEIGHT_M) / USUAL_HEIGHT_M) / HEIGHT_SPREAD
-        agreement = CONTRAST_WEIGHT * self.contrast + PLAN_WEIGHT * _positive(self.plan_score)
-        return agreement - float(np.nan_to_num(unusual**2 / 2))
+        """What orders hypotheses before their photos are matched."""
+        return CONTRAST_WEIGHT * self.contrast + PLAN_WEIGHT * _positive(self.plan_score) - self._unusual
 
     @property
     def fit(self) -> float:
-        """What decides between hypotheses of one place: agreement in elevation and in plan, and its contrast."""
-        return agreement_in_both(self.score, self.plan_score) + self.contrast / CONTRAST_SPREAD
+        """What chooses hypotheses to refine, and between those of one place: agreement on walls and in plan, and its
+        contrast where that is known.
+        """
+        return agreement_in_both(self.score, self.plan_score) + self.contrast / CONTRAST_SPREAD - self._unusual
+
+    @property
+    def _unusual(self) -> float:
+        """What an unusual height of the cameras takes off."""
+        return float(
+            np.nan_to_num((np.log(max(self.height_m, LEAST_HEIGHT_M) / USUAL_HEIGHT_M) / HEIGHT_SPREAD) ** 2 / 2)
+        )
 
     @property
     def odds(self) -> float:

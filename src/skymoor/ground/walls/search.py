@@ -54,10 +54,10 @@ def search_ground(
 
 
 def _finalists(scored: Sequence[RefinedHypothesis], count: int) -> list[RefinedHypothesis]:
-    """The best by evidence and the best in plan, where steps of the search matter less, in turn."""
-    by_evidence = sorted(scored, key=lambda hypothesis: -hypothesis.evidence)
+    """Those that fit best and the best in plan, where steps of the search matter less, in turn."""
+    by_fit = sorted(scored, key=lambda hypothesis: -hypothesis.fit)
     in_plan = sorted(scored, key=lambda hypothesis: -np.nan_to_num(hypothesis.plan_score, nan=-np.inf))
-    in_turn = [one for both in zip(by_evidence, in_plan, strict=True) for one in both]
+    in_turn = [one for both in zip(by_fit, in_plan, strict=True) for one in both]
     return list({id(one): one for one in in_turn}.values())[:count]
 
 
