@@ -36,7 +36,7 @@ def false_alarm_probability(score: float, decoys: Sequence[float]) -> float:
     """
     if not decoys or score <= 0:
         return 1.0
-    return predictive_tail(float(np.log(score)), np.log(np.maximum(decoys, 1e-3)), SCORE_SPREAD)
+    return _tail(float(np.log(score)), np.log(np.maximum(decoys, 1e-3)), SCORE_SPREAD)
 
 
 def agreement_probability(found: Agreement, decoys: Sequence[Agreement]) -> float:
@@ -46,7 +46,7 @@ def agreement_probability(found: Agreement, decoys: Sequence[Agreement]) -> floa
     """
     if not decoys:
         return 1.0
-    return predictive_tail(_logit(found), np.array([_logit(one) for one in decoys]), CELLS_SPREAD)
+    return _tail(_logit(found), np.array([_logit(one) for one in decoys]), CELLS_SPREAD)
 
 
 def combined_probability(probabilities: Sequence[float]) -> float:
@@ -56,14 +56,11 @@ def combined_probability(probabilities: Sequence[float]) -> float:
     return float(0.5 - np.arctan(statistic) / np.pi) if statistic < 1e6 else 1 / (np.pi * statistic)
 
 
-def predictive_tail(value: float, null: Array, usual_spread: float, usual_count: int = USUAL_DECOYS) -> float:
-    """Probability that one more draw of a normal null sample (n,) reaches a value (Student's predictive distribution).
-
-    `usual_spread` is known from elsewhere and counts as much as that of `usual_count` draws.
-    """
+def _tail(value: float, null: Array, usual_spread: float) -> float:
+    """Of Student's predictive distribution of a normal null sample (n,), with a usual spread beside the observed."""
     n = len(null)
-    squares = float(((null - null.mean()) ** 2).sum()) + usual_count * usual_spread**2
-    dof = n - 1 + usual_count
+    squares = float(((null - null.mean()) ** 2).sum()) + USUAL_DECOYS * usual_spread**2
+    dof = n - 1 + USUAL_DECOYS
     spread = np.sqrt(squares / dof * (1 + 1 / n))
     return float(t.sf((value - null.mean()) / spread, dof))
 

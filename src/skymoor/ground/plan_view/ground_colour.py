@@ -121,17 +121,23 @@ class GroundCells:
 
 def ground_cells(rgb: Image, seen: Mask, zoom: float, azimuth_rad: float, size: int) -> GroundCells:
     """A ground picture turned counter-clockwise and scaled by `zoom` about its middle, to that of `size` cells."""
-    side = seen.shape[0]
-    c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
-    linear = zoom * np.array([[c, s], [-s, c]])
-    matrix = np.column_stack([linear, size / 2 - linear @ [side / 2 - 0.5, side / 2 - 0.5] - 0.5])
-    sigma = max(0.5 / zoom, 0.3)
     weight = seen.astype(np.float32)
-    layers = np.dstack([rgb.astype(np.float32) * weight[..., None], weight])
-    turned = cv2.warpAffine(cv2.GaussianBlur(layers, (0, 0), sigma), matrix, (size, size), flags=cv2.INTER_LINEAR)
+    turned = turned_layers(np.dstack([rgb.astype(np.float32) * weight[..., None], weight]), zoom, azimuth_rad, size)
     v, u = np.nonzero(turned[..., 3] > 0.5)
     if len(u) > MOST_POINTS:
         kept = np.linspace(0, len(u) - 1, MOST_POINTS).astype(np.int64)
         u, v = u[kept], v[kept]
     colours = (turned[v, u, :3] / turned[v, u, 3:]).clip(0, 255)
     return GroundCells(np.column_stack([u, v]), colour_channels(colours[None])[:, 0])
+
+
+def turned_layers(layers: Array32, zoom: float, azimuth_rad: float, size: int) -> Array32:
+    """Layers (side, side, n) turned counter-clockwise and scaled about their middle, to (size, size, n); 0 beyond."""
+    half, sigma = layers.shape[0] / 2, max(0.5 / zoom, 0.3)
+    c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    # v runs down: counter-clockwise in plan is clockwise in (u, v).
+    linear = zoom * np.array([[c, s], [-s, c]])
+    offset = size / 2 - linear @ [half, half]
+    matrix = np.column_stack([linear, offset + linear @ [0.5, 0.5] - 0.5])
+    smooth = cv2.GaussianBlur(layers, (0, 0), sigma)
+    return np.asarray(cv2.warpAffine(smooth, matrix, (size, size), flags=cv2.INTER_LINEAR), dtype=np.float32)

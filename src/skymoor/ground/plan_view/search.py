@@ -115,7 +115,7 @@ def all_maps(
 ) -> list[tuple[Array32, Array32, Mask]]:
     """`_maps` at some azimuths; elements of negative index are places beyond the first row or column."""
     cell, (rows, columns) = target.grid.pixel_m, target.known.shape
-    size = model.at(scale, 0.0, cell)[1].shape[0]
+    size = model.size_at(scale, cell)
     padded = fft.next_fast_len(rows + size, real=True), fft.next_fast_len(columns + size, real=True)
     layers = np.stack([*target.steps, target.raised, target.known.astype(np.float32)])
     spectra = fft.rfft2(layers, s=padded, workers=-1)
@@ -186,7 +186,7 @@ def _at_scale(
     typical = usual(maps, cells, target)
     if typical is None:
         return []
-    size = model.at(scale, 0.0, cell)[1].shape[0]
+    size = model.size_at(scale, cell)
     found = []
     for azimuth, own, (steps, inside, valid) in zip(azimuths, cells, maps, strict=True):
         score = typical.steps_score(steps) - penalty(inside, scale, options)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from skymoor.errors import DegenerateGeometry
-from skymoor.ground.plan_view.ground_colour import GroundCells, ground_cells, ground_picture
+from skymoor.ground.plan_view.ground_colour import GroundCells, ground_cells, ground_picture, turned_layers
 from skymoor.ground.surface import surface_of
 from skymoor.types import Array, Array32, DepthMap, Image, Mask
 
@@ -46,31 +46,25 @@ class PlanModel:
     centre: Array
     cameras: Array
 
-    def ground_at(self, scale: float, azimuth_rad: float, cell_m: float) -> GroundCells:
-        """The ground turned counter-clockwise, in cells from the corner of the rasters of `at`."""
-        zoom = self.pixel * scale / cell_m
-        return ground_cells(self.rgb, self.shown, zoom, azimuth_rad, self._size(zoom))
-
-    def _size(self, zoom: float) -> int:
-        return max(8, int(np.ceil(self.free.shape[0] * zoom * np.sqrt(2))))
+    def size_at(self, scale: float, cell_m: float) -> int:
+        """Side of the turned rasters, in cells of a map where a level unit is `scale` metres."""
+        return max(8, int(np.ceil(self.free.shape[0] * self._zoom(scale, cell_m) * np.sqrt(2))))
 
     def at(self, scale: float, azimuth_rad: float, cell_m: float) -> tuple[Array32, Array32]:
         """`normals` and `free` turned counter-clockwise, in cells of a map where a level unit is `scale` metres."""
-        zoom = self.pixel * scale / cell_m
-        size = self._size(zoom)
+        layers, size = np.dstack([*self.normals, self.free]), self.size_at(scale, cell_m)
+        turned = turned_layers(layers, self._zoom(scale, cell_m), azimuth_rad, size)
+        u, v, free = np.ascontiguousarray(np.moveaxis(turned, -1, 0))
         c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
-        # v runs down: counter-clockwise in plan is clockwise in (u, v).
-        linear = zoom * np.array([[c, s], [-s, c]])
-        half = self.free.shape[0] / 2
-        offset = size / 2 - linear @ [half, half]
-        matrix = np.column_stack([linear, offset + linear @ [0.5, 0.5] - 0.5])
-        sigma = max(0.5 / zoom, 0.3)
-        turned = []
-        for layer in (*self.normals, self.free):
-            smooth = cv2.GaussianBlur(layer, (0, 0), sigma)
-            turned.append(cv2.warpAffine(smooth, matrix, (size, size), flags=cv2.INTER_LINEAR))
-        u, v, free = turned
-        return np.stack([c * u + s * v, -s * u + c * v]).astype(np.float32), np.asarray(free, dtype=np.float32)
+        return np.stack([c * u + s * v, -s * u + c * v]).astype(np.float32), free
+
+    def ground_at(self, scale: float, azimuth_rad: float, cell_m: float) -> GroundCells:
+        """The ground turned counter-clockwise, in cells from the corner of the rasters of `at`."""
+        size = self.size_at(scale, cell_m)
+        return ground_cells(self.rgb, self.shown, self._zoom(scale, cell_m), azimuth_rad, size)
+
+    def _zoom(self, scale: float, cell_m: float) -> float:
+        return self.pixel * scale / cell_m
 
 
 def plan_model(maps_level: Sequence[DepthMap], *, rng: np.random.Generator) -> PlanModel:

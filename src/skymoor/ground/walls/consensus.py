@@ -91,7 +91,7 @@ def pool_hypotheses(
         pooled.append(replace(ranked[k], score=float(np.linalg.norm(best)), support=len(best)))
     kept: list[WallHypothesis] = []
     for one in sorted(pooled, key=lambda other: -other.score):
-        if all(_apart(one.enu_from_level, q.enu_from_level, probes) >= 2 * options.near_m for q in kept):
+        if all(apart(one.enu_from_level, q.enu_from_level, probes) >= 2 * options.near_m for q in kept):
             kept.append(one)
     return kept[: options.keep]
 
@@ -257,7 +257,7 @@ def _elsewhere(candidates: Sequence[RefinedHypothesis], probes: Array, apart_m: 
     """Those of other places than the first, each place once: neighbours share what makes them agree."""
     kept = [candidates[0]]
     for one in candidates[1:]:
-        if all(_apart(one.enu_from_level, other.enu_from_level, probes) >= apart_m for other in kept):
+        if all(apart(one.enu_from_level, other.enu_from_level, probes) >= apart_m for other in kept):
             kept.append(one)
     return kept[1:]
 
@@ -297,5 +297,6 @@ def _possible(candidate: RefinedHypothesis, options: AcceptanceOptions) -> bool:
     return on_ground and candidate.blocked <= options.max_blocked
 
 
-def _apart(a: Similarity, b: Similarity, probes: Array) -> float:
+def apart(a: Similarity, b: Similarity, probes: Array) -> float:
+    """Mean distance of the probes (n, 3) under two similarities."""
     return float(np.linalg.norm(a.apply(probes) - b.apply(probes), axis=1).mean())

@@ -10,9 +10,9 @@ import numpy as np
 from skymoor.geometry import Similarity
 from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions
 from skymoor.ground.walls.component import ComponentSearch, view_probes
-from skymoor.ground.walls.consensus import RefinedHypothesis, pool_hypotheses
+from skymoor.ground.walls.consensus import RefinedHypothesis, apart, pool_hypotheses
 from skymoor.ground.walls.hypotheses import WallHypotheses
-from skymoor.types import Array, DepthMap, Progress, no_progress
+from skymoor.types import DepthMap, Progress, no_progress
 
 
 def search_ground(
@@ -68,20 +68,16 @@ def _best_of_places(
 
     Beside the right one there are others, a little larger or a bay aside, that are nearly as good in plan.
     """
-    probes, places = view_probes(search.maps), list[list[RefinedHypothesis]]()
+    probes, apart_m = view_probes(search.maps), search.options.acceptance.apart_m
+    places: list[list[RefinedHypothesis]] = []
     for one in ranked:
-        at = one.enu_from_level.apply(probes)
-        near = (place for place in places if _gap(at, place[0], probes) < search.options.acceptance.apart_m)
+        near = (place for place in places if apart(one.enu_from_level, place[0].enu_from_level, probes) < apart_m)
         place = next(near, None)
         if place is None:
             places.append([one])
         else:
             place.append(one)
     return [max(place, key=lambda hypothesis: hypothesis.fit) for place in places[:count]]
-
-
-def _gap(at: Array, other: RefinedHypothesis, probes: Array) -> float:
-    return float(np.linalg.norm(at - other.enu_from_level.apply(probes), axis=1).mean())
 
 
 def _refined(
