@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -21,7 +21,7 @@ from skymoor.match.search import search_hypotheses
 from skymoor.orient import estimate_gravity, level_from_gravity
 from skymoor.pipeline.airborne import register_airborne
 from skymoor.pipeline.estimate import Step, estimate_run
-from skymoor.pipeline.ground import register_ground_sets
+from skymoor.pipeline.ground import register_ground_sets, register_ground_sets_on_map
 from skymoor.pipeline.job import Job
 from skymoor.pipeline.log import logged
 from skymoor.pipeline.option_parser import with_options
@@ -99,8 +99,11 @@ def register(
     _require_run(loaded, Path(out), seed)
     with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
         jobs = _jobs(loaded, chosen, store, seed, progress, note)
-        results = [register_airborne(jobs[0])]
-        results += register_ground_sets(jobs[1:], results[0], jobs[0].photos)
+        if loaded.airborne is None:
+            results = register_ground_sets_on_map(jobs)
+        else:
+            results = [register_airborne(jobs[0])]
+            results += register_ground_sets(jobs[1:], results[0], jobs[0].photos)
         folders = _folders(loaded)
         sets = [
             SetResult(job.name, at, job.photos.names, one) for job, at, one in zip(jobs, folders, results, strict=True)
@@ -130,7 +133,8 @@ def plan(
     chosen = with_options(Options(), {**site.options, **options})
     check_engines(chosen, ground=bool(site.ground))
     _require_run(site, Path(out), seed)
-    airborne, *ground = (check_photos(folder, _track(progress, folder.name)) for folder in _folders(site))
+    sizes = [check_photos(folder, _track(progress, folder.name)) for folder in _folders(site)]
+    airborne, ground = ((), sizes) if site.airborne is None else (sizes[0], sizes[1:])
     files = site.reference
     reference = read_reference(
         files.ortho, files.dsm, files.vertical_datum, files.covariance, progress=_track(progress, "reference")
@@ -251,10 +255,9 @@ def _jobs(
     site: Site, options: Options, store: Store, seed: int, progress: StageProgress, note: Callable[[str], None]
 ) -> list[Job]:
     """One job for each set of photos, all with the same reference."""
-    assert site.airborne is not None
-    track = partial(_track, progress)
-    photos = store.photos("photos", site.airborne, site.root, track("photos"))
-    count = has_metadata(site.airborne)
+    track, jobs = partial(_track, progress), []
+    first = _folders(site)[0]
+    count = has_metadata(first)
     if count:
         note(f"{count} photos carry EXIF or XMP metadata: it is ignored, nothing but pixels is used")
     files = site.reference
@@ -271,12 +274,13 @@ def _jobs(
     for text in reference.notes:
         note(text)
         LOG.info("reference: %s", text)
-    airborne = Job(photos, reference, options, store, seed, track)
-    jobs = [airborne]
+    if site.airborne is not None:
+        photos = store.photos("photos", site.airborne, site.root, track("photos"))
+        jobs.append(Job(photos, reference, options, store, seed, track))
     for k, folder in enumerate(site.ground):
         name = f"ground{k}"
         photos = store.photos(f"{name}.photos", folder, site.root, track(f"{name}.photos"))
-        jobs.append(replace(airborne, photos=photos, name=name))
+        jobs.append(Job(photos, reference, options, store, seed, track, name))
     return jobs
 
 
@@ -291,10 +295,6 @@ def _track(progress: StageProgress, name: str) -> Progress:
 
 def _require_run(site: Site, out: Path, seed: int) -> None:
     """What would go wrong later, or would harm the user's own files."""
-    if site.airborne is None:
-        raise InputError(
-            f"{site.source}: it names no [airborne] images; ground photos are registered to the airborne model"
-        )
     if not 0 <= seed <= LARGEST_SEED:
         raise InputError(f"--seed {seed}: give a whole number from 0 to {LARGEST_SEED}")
     folders, where = _folders(site), out.resolve()

@@ -37,6 +37,8 @@ def estimate_run(
     airborne: Sequence[Size], ground: Sequence[Sequence[Size]], grid_px: int, options: Options
 ) -> list[Step]:
     """The steps of a run on photos of these sizes (width, height), with a reference of `grid_px` pixels."""
+    if not airborne:
+        return _without_airborne(ground, grid_px, options)
     n, match = len(airborne), options.match
     depths = _depth_mib(airborne)
     dense = DENSE_S.get(match.matcher, 2.0)
@@ -45,7 +47,7 @@ def estimate_run(
     search, searched = 25.0 * scales, LIBRARIES_MIB + depths + 60 * grid_px / 2**20
     steps = [
         Step("photos", f"check {n} airborne photos", *_check(airborne)),
-        Step("reference", f"read orthophoto and DSM, {grid_px / 1e6:.1f} million pixels", 2 + 2e-7 * grid_px, 700),
+        _reference(grid_px),
         Step("reconstruct", f"{n} photos by {options.reconstruct.matcher}", *_mapping(airborne, options, "air")),
         Step("depths", f"depth maps by {options.densify.method}; what photos say of each other", 0.7 * n, depths + 600),
         Step("model", f"{options.model.kind} and its view from above", model + 0.3 * n, 2 * depths + 600),
@@ -61,6 +63,17 @@ def estimate_run(
     for k, photos in enumerate(ground):
         steps += _ground(f"ground{k}", photos, options)
     return [*steps, Step("products", "tables, models, figures, report", 10 + 0.1 * n, searched)]
+
+
+def _without_airborne(ground: Sequence[Sequence[Size]], grid_px: int, options: Options) -> list[Step]:
+    steps = [_reference(grid_px)]
+    for k, photos in enumerate(ground):
+        steps += _ground(f"ground{k}", photos, options)
+    return [*steps, Step("products", "tables, figures, report", 5, LIBRARIES_MIB + 60 * grid_px / 2**20)]
+
+
+def _reference(grid_px: int) -> Step:
+    return Step("reference", f"read orthophoto and DSM, {grid_px / 1e6:.1f} million pixels", 2 + 2e-7 * grid_px, 700)
 
 
 def _ground(name: str, photos: Sequence[Size], options: Options) -> list[Step]:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The method for ground photos on one page (paper, section 3.4): each component is registered to the airborne model."""
+"""The method for ground photos on one page (paper, section 3.4): each component is registered to the airborne model.
+
+Without airborne photos it is registered straight to the reference, in plan.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ import numpy as np
 from skymoor.densify import MetricScale, metric_scale_of_photos
 from skymoor.errors import DegenerateGeometry
 from skymoor.ground import Hypotheses, OneHypothesis, decide_jointly
+from skymoor.ground.plan_view import MapTarget, map_target, plan_figure, search_on_map
 from skymoor.ground.tiles import CascadeOptions, ConsensusOptions, cascade, exhaustive, tile_px_for
 from skymoor.ground.walls import (
     AirborneModel,
@@ -49,17 +53,29 @@ def register_ground_sets(
     """Every component of every set of ground photos, registered to the airborne model or refused (section 3.4)."""
     if not jobs:
         return []
-    ready = _airborne([item for item in airborne if item.registration.registered], airborne_photos, jobs[0])
+    target = _airborne([item for item in airborne if item.registration.registered], airborne_photos, jobs[0])
+    return _register(jobs, target)
+
+
+def register_ground_sets_on_map(jobs: Sequence[Job]) -> list[list[ComponentResult]]:
+    """Every component of every set of ground photos, registered to the reference in plan or refused."""
+    if not jobs:
+        return []
+    options = jobs[0].options.ground.on_map
+    return _register(jobs, jobs[0].store.stage("map_target", map_target, jobs[0].reference, options.cell_m))
+
+
+def _register(jobs: Sequence[Job], target: _Airborne | MapTarget | None) -> list[list[ComponentResult]]:
     levelled = []
     for number, job in enumerate(jobs):
         choices = job.options.ground.reconstruct.stage_options(job.options.engines, shared_camera=False)
         components = reconstruct_set(f"{job.name}.reconstruct", job, choices)
-        levelled += [(number, _level_or_refuse(f"{job.name}-{k}", c, ready, job)) for k, c in enumerate(components)]
-    searched = [(item, _search_or_refuse(item, ready, jobs[n])) for n, item in levelled if ready and item.depths]
+        levelled += [(number, _level_or_refuse(f"{job.name}-{k}", c, target, job)) for k, c in enumerate(components)]
+    searched = [(item, _search_or_refuse(item, target, jobs[n])) for n, item in levelled if target and item.depths]
     decided = _decided(searched)
     on_map = {item.name: _on_map(item, found) for item, found in searched}
     levelled = [(n, replace(item, hypotheses=on_map.get(item.name, []))) for n, item in levelled]
-    results = [(n, _check_or_refuse(item, decided.get(item.name), ready, jobs[n])) for n, item in levelled]
+    results = [(n, _check_or_refuse(item, decided.get(item.name), target, jobs[n])) for n, item in levelled]
     return [[item for n, item in results if n == number] for number in range(len(jobs))]
 
 
@@ -75,25 +91,25 @@ def _decided(searched: Sequence[tuple[ComponentResult, Hypotheses]]) -> dict[str
     return dict(zip(names, registrations, strict=True))
 
 
-def _level_or_refuse(name: str, component: Component, airborne: _Airborne | None, job: Job) -> ComponentResult:
-    return or_else(
-        lambda: _level(name, component, airborne, job), lambda reason: refused(name, component, reason), name
-    )
+def _level_or_refuse(
+    name: str, component: Component, target: _Airborne | MapTarget | None, job: Job
+) -> ComponentResult:
+    return or_else(lambda: _level(name, component, target, job), lambda reason: refused(name, component, reason), name)
 
 
-def _search_or_refuse(item: ComponentResult, airborne: _Airborne, job: Job) -> Hypotheses:
+def _search_or_refuse(item: ComponentResult, target: _Airborne | MapTarget, job: Job) -> Hypotheses:
     return or_else(
-        lambda: _search(item, airborne, job),
+        lambda: _search(item, target, job),
         lambda reason: OneHypothesis(refused(item.name, item.component, reason).registration),
         item.name,
     )
 
 
 def _check_or_refuse(
-    item: ComponentResult, found: Registration | None, airborne: _Airborne | None, job: Job
+    item: ComponentResult, found: Registration | None, target: _Airborne | MapTarget | None, job: Job
 ) -> ComponentResult:
     return or_else(
-        lambda: _checked(item, found, airborne, job),
+        lambda: _checked(item, found, target, job),
         lambda reason: replace(item, registration=refused(item.name, item.component, reason).registration),
         item.name,
     )
@@ -137,11 +153,11 @@ def _renders(base: ComponentResult, job: Job) -> list[Render]:
     return [base.render, *obliques]
 
 
-def _level(name: str, component: Component, airborne: _Airborne | None, job: Job) -> ComponentResult:
+def _level(name: str, component: Component, target: _Airborne | MapTarget | None, job: Job) -> ComponentResult:
     """A ground component, levelled and with depth maps, not registered yet; without depth maps where a step failed."""
     options, engines = job.options.ground, job.options.engines
     try:
-        if airborne is None:
+        if target is None:
             raise DegenerateGeometry("there is no registered airborne component to register it to")
         ground = ground_of(name, component, engines.labeler(options.labels), job)
         gravity = estimate_ground_gravity(component, job.photos, ground=ground)
@@ -151,7 +167,8 @@ def _level(name: str, component: Component, airborne: _Airborne | None, job: Job
     except DegenerateGeometry as error:
         return refused(name, component, str(error))
     found = refused(name, level, "not searched yet")
-    found = replace(found, level_from_sfm=level_from_sfm, gravity=gravity, depths=depths, base=airborne.base)
+    base = target.base if isinstance(target, _Airborne) else None
+    found = replace(found, level_from_sfm=level_from_sfm, gravity=gravity, depths=depths, base=base)
     return replace(found, metric=_metric(found, job))
 
 
@@ -172,10 +189,26 @@ def _of_size(options: T, item: ComponentResult) -> T:
     return replace(options, min_scale=low, max_scale=high)
 
 
-def _search(item: ComponentResult, airborne: _Airborne, job: Job) -> Hypotheses:
-    """Hypotheses of a component, by the chosen method."""
+def _search(item: ComponentResult, target: _Airborne | MapTarget, job: Job) -> Hypotheses:
+    """Hypotheses of a component: on the reference, or by the chosen method on the airborne model."""
+    if isinstance(target, MapTarget):
+        return _search_map(item, target, job)
     if job.options.ground.method != "walls":
-        return _search_tiles(item, airborne, job)
+        return _search_tiles(item, target, job)
+    return _search_walls(item, target, job)
+
+
+def _search_map(item: ComponentResult, target: MapTarget, job: Job) -> Hypotheses:
+    limits, progress = _of_size(job.options.ground.walls, item), job.track(f"{item.name}: places on the map")
+    scales, rng = {"min_scale": limits.min_scale, "max_scale": limits.max_scale}, np.random.default_rng(job.seed)
+    options, name = job.options.ground.on_map, f"{item.name}.on_map"
+    try:
+        return job.store.stage(name, search_on_map, item.depths, target, options, **scales, rng=rng, progress=progress)
+    except DegenerateGeometry as error:
+        return OneHypothesis(refused(item.name, item.component, str(error)).registration)
+
+
+def _search_walls(item: ComponentResult, airborne: _Airborne, job: Job) -> Hypotheses:
     if airborne.walls is None:
         return OneHypothesis(refused(item.name, item.component, "the airborne model shows no surface").registration)
     if not airborne.walls.facades:
@@ -219,23 +252,27 @@ def _consensus(options: ConsensusOptions, item: ComponentResult, airborne: _Airb
 
 
 def _checked(
-    item: ComponentResult, found: Registration | None, airborne: _Airborne | None, job: Job
+    item: ComponentResult, found: Registration | None, target: _Airborne | MapTarget | None, job: Job
 ) -> ComponentResult:
-    """A component with its registration, the pose check of each camera, and a figure of its walls."""
-    if found is None or airborne is None:
+    """A component with its registration, the pose check of each camera, and a figure of its walls or its plan."""
+    if found is None or target is None:
         return item
-    if not found.registered or airborne.walls is None:
-        return replace(item, registration=found)
+    item = replace(item, registration=found)
+    if isinstance(target, MapTarget) and found.enu_from_level is not None:
+        arguments = (item.depths, job.reference, found.enu_from_level, job.seed)
+        return replace(item, plan=job.store.stage(f"{item.name}.figure", plan_figure, *arguments))
+    if not found.registered or isinstance(target, MapTarget) or target.walls is None:
+        return item
     checks, figure = job.store.stage(
         f"{item.name}.cameras",
         check_ground_poses,
         item.component.cameras,
         item.depths,
         job.photos,
-        airborne.walls,
+        target.walls,
         found.enu_from_level,
         job.options.ground.walls,
         max_px=job.options.engines.stereo(job.options.ground.densify).max_px,
         seed=job.seed,
     )
-    return replace(item, registration=found, walls=figure, pose_checks=tuple(checks))
+    return replace(item, walls=figure, pose_checks=tuple(checks))

@@ -79,7 +79,8 @@ class ComponentResult:
     """A component and the results of its registration. `component` is in the `level` frame.
 
     `name` is that of its stages. `pose_checks` compare each photo with the others. A ground
-    component is registered to `base`, an airborne one; `walls` shows both; `metric` is its scale by monocular depth.
+    component is registered to `base`, an airborne one, and `walls` shows both; or straight to the reference, and `plan`
+    shows it there; `metric` is its scale by monocular depth.
     `hypotheses` are all that were found, the best first.
     """
 
@@ -94,6 +95,7 @@ class ComponentResult:
     matches: Matches3D | None = None
     base: ComponentResult | None = None
     walls: Image | None = None
+    plan: Image | None = None
     pose_checks: Sequence[GroundPoseCheck | PoseCheck] = ()
     metric: MetricScale | None = None
     hypotheses: Sequence[MapHypothesis] = ()
@@ -111,6 +113,14 @@ class ComponentResult:
     def heights(self) -> HeightVerdict | None:
         """The verdict on heights: a ground component shares that of the airborne one that it is registered to."""
         return self.registration.heights if self.base is None else self.base.heights
+
+    @property
+    def scaled_by_focal_length(self) -> bool:
+        """Whether its cameras are as far from what they show as their focal length says.
+
+        A model that is registered to another, or by its plan, takes its scale from that.
+        """
+        return self.base is None and self.render is not None
 
     @property
     def shape_enu(self) -> Array | None:

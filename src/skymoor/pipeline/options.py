@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from skymoor.engines.options import files_of
+from skymoor.ground.plan_view import OnMapOptions
 from skymoor.ground.tiles import CascadeOptions
 from skymoor.ground.walls import GroundOptions
 from skymoor.match import CyclicOptions, DecoyOptions, DenseMatcher, SearchOptions
@@ -147,6 +148,7 @@ class GroundChoices:
         densify: dense stereo of ground photos.
         reconstruct: as for the airborne set, for photos of several lenses from nearby.
         walls, cascade: of the methods.
+        on_map: where there are no airborne photos.
     """
 
     method: Literal["walls", "cascade", "exhaustive"] = "walls"
@@ -158,6 +160,7 @@ class GroundChoices:
     reconstruct: ReconstructChoices = field(default_factory=_of_ground)
     walls: GroundOptions = field(default_factory=GroundOptions)
     cascade: CascadeOptions = field(default_factory=CascadeOptions)
+    on_map: OnMapOptions = field(default_factory=OnMapOptions)
 
     def dense_matcher(self, engines: Engines) -> DenseMatcher | None:
         """What matches photos with tiles; None for "walls"."""

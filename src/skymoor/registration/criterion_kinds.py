@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Literal
 
-Scope = Literal["airborne", "ground", "walls", "tiles"]
-"""Registrations that are checked: airborne or ground ones, the latter of one `ground.method` or of all."""
+Scope = Literal["airborne", "ground", "walls", "tiles", "map"]
+"""Registrations that are checked: airborne or ground ones, the latter of one `ground.method`, on the map, or all."""
 
 NARROW_HEIGHTS = "narrow the flying heights (match.min_height_m, match.max_height_m)"
 MORE_IN_COMMON = (
@@ -251,6 +251,30 @@ KINDS: dict[str, Kind] = {
         limit="at most ground.walls.acceptance.max_blocked",
         remedy="Take more photos that overlap and go round a corner, of walls that the airborne photos show.",
         spec=".1f",
+        unit="%",
+    ),
+    "map_places": Kind(
+        name="places on the map",
+        scopes=("map",),
+        at="least",
+        refusal="the walls and the free space of these photos fit nowhere on the reference",
+        meaning="Somewhere on the reference most of what the photos show must lie where heights or colours are known.",
+        limit="at least 1",
+        remedy="Use a reference that covers the site and its surroundings, with a surface model of houses and trees.",
+    ),
+    "chance_of_lead": Kind(
+        name="chance of so large a lead at a wrong place",
+        scopes=("map",),
+        at="most",
+        refusal="the best place ({plan_score:.1f}) does not lead the next one, or the best of the mirror image "
+        "({second_plan_score:.1f}), enough: among wrong places alone that happens with probability {value}; "
+        "at most {limit} is allowed",
+        meaning="In plan (walls on height steps, free space, ground on the orthophoto) the best place must lead all "
+        "others, and all of the mirror image, by more than the highest of many wrong places lead each other.",
+        limit="at most ground.on_map.max_chance",
+        remedy="Take more photos that overlap and go round corners of houses, use a smaller or sharper reference, "
+        "or add airborne photos.",
+        spec=".2g",
         unit="%",
     ),
     "tile_hypotheses": Kind(

@@ -60,12 +60,12 @@ def accuracy_of(item: ComponentResult, reference: Reference) -> CameraAccuracy:
     """
     base, shape = item.base, item.shape_enu
     centres = np.array([camera.centre for camera in item.cameras_enu]).reshape(-1, 3)
-    # A model that is registered to another takes its scale from that.
-    calibration = item.component.calibration if base is None else None
-    if base is None:
+    if item.scaled_by_focal_length:
         viewed = item.viewed_enu if item.registration.registered else None
-        return camera_accuracy(item.registration, centres, reference, calibration, shape, viewed)
-    found = camera_accuracy(item.registration, centres, reference, calibration, shape)
+        return camera_accuracy(item.registration, centres, reference, item.component.calibration, shape, viewed)
+    found = camera_accuracy(item.registration, centres, reference, None, shape)
+    if base is None:
+        return found
     carried = camera_accuracy(base.registration, centres, reference, base.component.calibration)
     return CameraAccuracy(found.shared, found.relative + carried.relative)
 
@@ -211,8 +211,8 @@ def _hypotheses(item: ComponentResult, reference: Reference, count: int = 3) -> 
 def calibration_note(item: ComponentResult) -> str:
     """What a person must know about the focal length, empty where it is well known."""
     calibration = item.component.calibration
-    if calibration is None or not calibration.uncertain or item.base is not None:
-        return ""  # a model that is registered to another takes its scale from that
+    if calibration is None or not calibration.uncertain or not item.scaled_by_focal_length:
+        return ""
     half = 100 * LE90_PER_SIGMA * calibration.focal_sigma
     note = "Focal length and flying height are not separable in these photos"
     if calibration.relief_ratio is None:
@@ -243,6 +243,8 @@ def _write_pictures(
     render, found = item.render, item.registration
     if item.walls is not None:
         store.write_png(f"matches/{name}_walls.png", item.walls)
+    if item.plan is not None:
+        store.write_png(f"matches/{name}_plan.png", item.plan)
     if render is None:
         return
     store.write_png(f"renders/{name}_nadir_rgb.png", render.rgb)

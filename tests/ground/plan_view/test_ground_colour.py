@@ -9,7 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 from skymoor.geometry import Intrinsics, Similarity
-from skymoor.ground.plan_view.ground_colour import NEAR, colour_map, ground_cells, ground_picture
+from skymoor.ground.plan_view.ground_colour import (
+    NEAR,
+    colour_map,
+    ground_cells,
+    ground_layers,
+    ground_picture,
+    smoothed_layers,
+)
 from skymoor.types import Camera, DepthMap
 
 Image = NDArray[np.uint8]
@@ -73,7 +80,7 @@ def test_it_agrees_best_where_it_belongs_in_any_light(azimuth_deg: float) -> Non
     window = ortho[corner[1] : corner[1] + size, corner[0] : corner[0] + size]
     window[inside] = cv2.warpAffine(ground, turn, (size, size))[inside]
     target = colour_map(ortho, np.ones((400, 400), bool))
-    cells = ground_cells(rgb, shown, zoom, np.radians(azimuth_deg), size)
+    cells = ground_cells(smoothed_layers(ground_layers(rgb, shown), zoom), zoom, np.radians(azimuth_deg), size)
     wide, near = np.arange(0, 250, 12), np.arange(-4, 5)
     places = np.stack(np.meshgrid(wide, wide), axis=-1).reshape(-1, 2)
     places = np.concatenate([places, corner + np.stack(np.meshgrid(near, near), axis=-1).reshape(-1, 2)])
@@ -89,5 +96,5 @@ def test_too_little_ground_agrees_with_nothing() -> None:
     target = colour_map(lawns(60), np.ones((60, 60), bool))
     small = np.zeros((SIDE, SIDE), bool)
     small[100:103, 100:103] = True
-    cells = ground_cells(lawns(SIDE), small, 0.5, 0.0, 100)
+    cells = ground_cells(smoothed_layers(ground_layers(lawns(SIDE), small), 0.5), 0.5, 0.0, 100)
     assert np.isnan(cells.agreement(target, np.array([[0, 0]]))).all()

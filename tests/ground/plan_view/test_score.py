@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from skymoor.geometry import Similarity
-from skymoor.ground.plan_view import PlanScores, PlanSearchOptions, search_plan
+from skymoor.ground.plan_view import PlanScores, PlanSearchOptions, ScoreOptions, search_plan
 from support.houses import site_with_an_l
 from support.plan_walks import camera_gaps, floated, from_above, open_ground, walked_l
 
 
 @pytest.fixture(scope="module")
 def scores() -> PlanScores:
-    return PlanScores(walked_l(), from_above(site_with_an_l()), PlanSearchOptions())
+    return PlanScores(walked_l(), from_above(site_with_an_l()), ScoreOptions())
 
 
 def moved(east_m: float, north_m: float, *, factor: float = 1.0, turn_deg: float = 0.0) -> Similarity:
@@ -57,7 +57,7 @@ def test_inside_a_house_it_scores_lower_than_in_front(scores: PlanScores, house:
 
 
 def test_free_space_within_houses_is_taken_off(scores: PlanScores) -> None:
-    lenient = PlanScores(scores.model, scores.target, PlanSearchOptions(inside_weight=0.0))
+    lenient = PlanScores(scores.model, scores.target, ScoreOptions(inside_weight=0.0))
     cameras = floated().apply(walked_l().cameras)[:, :2]
     east_m, north_m = (float(x) for x in site_with_an_l().middle[0] - cameras[0])
     inside = moved(east_m, north_m)
@@ -74,5 +74,5 @@ def test_off_the_map_there_is_no_score(scores: PlanScores) -> None:
 
 
 def test_open_ground_scores_nothing() -> None:
-    flat = PlanScores(walked_l(), open_ground(0.0), PlanSearchOptions())
+    flat = PlanScores(walked_l(), open_ground(0.0), ScoreOptions())
     assert flat.at(floated()) == pytest.approx(0.0, abs=0.1)

@@ -28,9 +28,9 @@ def hand_made(side: int = SIDE) -> PlanModel:
 @pytest.mark.parametrize("side", [SIDE, SIDE + 1])
 def test_a_quarter_turn_turns_normals_and_free_space(side: int) -> None:
     model = hand_made(side)
-    normals, free = model.at(1.5, 0.0, 0.75)
+    normals, free = model.at_scale(1.5, 0.75).turned(0.0)
     for quarter in (1, 2, 3):
-        turned_normals, turned_free = model.at(1.5, quarter * np.pi / 2, 0.75)
+        turned_normals, turned_free = model.at_scale(1.5, 0.75).turned(quarter * np.pi / 2)
         # np.rot90 turns counter-clockwise, as seen with rows going down.
         np.testing.assert_allclose(turned_free, np.rot90(free, quarter), atol=1e-3)
         u, v = (np.rot90(one, quarter) for one in normals)
@@ -40,17 +40,17 @@ def test_a_quarter_turn_turns_normals_and_free_space(side: int) -> None:
 
 
 def test_a_wall_that_faces_west_faces_south_after_a_quarter_turn() -> None:
-    (u, v), _ = hand_made().at(1.5, 0.0, 0.75)
+    (u, v), _ = hand_made().at_scale(1.5, 0.75).turned(0.0)
     assert u.sum() < -5
     assert abs(v.sum()) < 1e-3
-    (u, v), _ = hand_made().at(1.5, np.pi / 2, 0.75)
+    (u, v), _ = hand_made().at_scale(1.5, 0.75).turned(np.pi / 2)
     assert abs(u.sum()) < 1e-3
     assert v.sum() > 5  # v runs down
 
 
 def test_the_centre_stays_in_the_middle_and_areas_grow_with_the_scale() -> None:
-    _, small = hand_made().at(1.5, 0.4, 0.75)
-    _, large = hand_made().at(3.0, 0.4, 0.75)
+    _, small = hand_made().at_scale(1.5, 0.75).turned(0.4)
+    _, large = hand_made().at_scale(3.0, 0.75).turned(0.4)
     assert large.sum() / small.sum() == pytest.approx(4.0, rel=0.05)
     assert small.sum() == pytest.approx(hand_made().free.sum(), rel=0.05)  # pixels of 0.5 units are cells of 0.75 m
     rows, columns = np.nonzero(hand_made().free)

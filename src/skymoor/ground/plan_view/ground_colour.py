@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 
 from skymoor.types import Array, Array32, DepthMap, Image, Mask
 
-Whole = NDArray[np.int64]
+Whole = NDArray[np.signedinteger[Any]]
 
 NEAR, FAR = 4.0, 9.0  # camera heights: ground up to NEAR is taken for seen, up to FAR only where space is free
 HIDDEN = 0.85  # of a point's depth: what is nearer than that hides it
@@ -26,6 +28,7 @@ WEIGHTS = np.array([1.0, 1.0, 0.5], np.float32)  # of brightness, greenness, hue
 FLOOR = 0.25  # of the orthophoto's spread: variations below it are noise
 MOST_POINTS = 800
 FEWEST_CELLS = 20
+LOCAL_CELLS = 20.0  # standard deviation of the window about which colours vary: as far as the ground is seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +39,41 @@ class ColourMap:
     known: Mask
     spread: Array32
 
+    @cached_property
+    def local(self) -> Array32:
+        """Channels (3, h, w) less their mean about a cell, over their spread there; 0 where they are unknown."""
+        weight = self.known.astype(np.float32)
+        total = np.maximum(_window(weight), 1e-3)
+        filled = np.where(self.known, self.channels, 0)
+        means = np.stack([_window(one) / total for one in filled])
+        squares = np.stack([_window(one**2) / total for one in filled])
+        spread = np.sqrt(np.maximum(squares - means**2, 0) + (FLOOR * self.spread[:, None, None]) ** 2)
+        return np.where(self.known, (filled - means) / spread, 0).astype(np.float32)
+
+    def halved(self) -> ColourMap:
+        """The map with cells twice as large."""
+        channels = np.stack([halved(one) for one in np.where(self.known, self.channels, 0)])
+        share = halved(self.known.astype(np.float32))
+        known = share >= 0.5
+        return ColourMap(np.where(known, channels / np.maximum(share, 0.25), 0), known, self.spread)
+
     def at(self, columns: Whole, rows: Whole) -> tuple[Array32, Mask]:
         """Channels (3, ...) of cells, and which of them are known."""
         height, width = self.known.shape
         inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
         u, v = np.where(inside, columns, 0), np.where(inside, rows, 0)
         return self.channels[:, v, u], inside & self.known[v, u]
+
+
+def halved(values: Array32) -> Array32:
+    """Means of blocks of two by two cells; of a border of odd size the last cells are repeated."""
+    rows, columns = values.shape
+    padded = np.pad(values, ((0, rows % 2), (0, columns % 2)), mode="edge")
+    return np.asarray(padded.reshape((rows + 1) // 2, 2, (columns + 1) // 2, 2).mean(axis=(1, 3)), dtype=np.float32)
+
+
+def _window(values: Array32) -> Array32:
+    return np.asarray(cv2.GaussianBlur(values, (0, 0), LOCAL_CELLS), dtype=np.float32)
 
 
 def colour_map(rgb: Image, known: Mask) -> ColourMap:
@@ -102,6 +134,15 @@ class GroundCells:
     offsets: Whole
     channels: Array32
 
+    def layers(self, size: int) -> Array32:
+        """The cells as rasters (3, size, size) without their means, weighted, whose correlation is an agreement."""
+        rasters = np.zeros((CHANNELS, size, size), np.float32)
+        if len(self.offsets) >= FEWEST_CELLS:
+            varied = self.channels - self.channels.mean(axis=1, keepdims=True)
+            varied *= WEIGHTS[:, None] / np.maximum(varied.std(axis=1, keepdims=True), 1e-3)
+            rasters[:, self.offsets[:, 1], self.offsets[:, 0]] = varied / len(self.offsets)
+        return rasters
+
     def agreement(self, target: ColourMap, corners: Whole) -> Array32:
         """Correlation (k,) with the orthophoto, with the corner at cells (k, 2); NaN where it is hardly known."""
         if self.offsets.shape[0] < FEWEST_CELLS:
@@ -119,10 +160,18 @@ class GroundCells:
         return np.where(known.mean(axis=1) >= 0.5, found, np.nan).astype(np.float32)
 
 
-def ground_cells(rgb: Image, seen: Mask, zoom: float, azimuth_rad: float, size: int) -> GroundCells:
-    """A ground picture turned counter-clockwise and scaled by `zoom` about its middle, to that of `size` cells."""
-    weight = seen.astype(np.float32)
-    turned = turned_layers(np.dstack([rgb.astype(np.float32) * weight[..., None], weight]), zoom, azimuth_rad, size)
+def ground_layers(rgb: Image, seen: Mask) -> Array32:
+    """Layers (side, side, 4) of a ground picture: colours where they are seen, and where that is."""
+    weight = seen.astype(np.float32)[..., None]
+    return np.concatenate([rgb.astype(np.float32) * weight, weight], axis=2)
+
+
+def ground_cells(smooth: Array32, zoom: float, azimuth_rad: float, size: int) -> GroundCells:
+    """A ground picture turned counter-clockwise and scaled by `zoom` about its middle, to that of `size` cells.
+
+    `smooth` is of `smoothed_layers` of `ground_layers`.
+    """
+    turned = turned_layers(smooth, zoom, azimuth_rad, size)
     v, u = np.nonzero(turned[..., 3] > 0.5)
     if len(u) > MOST_POINTS:
         kept = np.linspace(0, len(u) - 1, MOST_POINTS).astype(np.int64)
@@ -131,13 +180,17 @@ def ground_cells(rgb: Image, seen: Mask, zoom: float, azimuth_rad: float, size: 
     return GroundCells(np.column_stack([u, v]), colour_channels(colours[None])[:, 0])
 
 
-def turned_layers(layers: Array32, zoom: float, azimuth_rad: float, size: int) -> Array32:
-    """Layers (side, side, n) turned counter-clockwise and scaled about their middle, to (size, size, n); 0 beyond."""
-    half, sigma = layers.shape[0] / 2, max(0.5 / zoom, 0.3)
+def smoothed_layers(layers: Array32, zoom: float) -> Array32:
+    """Layers (side, side, n) blurred so that they may be sampled at a `zoom`."""
+    return np.asarray(cv2.GaussianBlur(layers, (0, 0), max(0.5 / zoom, 0.3)), dtype=np.float32)
+
+
+def turned_layers(smooth: Array32, zoom: float, azimuth_rad: float, size: int) -> Array32:
+    """`smoothed_layers` turned counter-clockwise and scaled about their middle, to (size, size, n); 0 beyond."""
+    half = smooth.shape[0] / 2
     c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
     # v runs down: counter-clockwise in plan is clockwise in (u, v).
     linear = zoom * np.array([[c, s], [-s, c]])
     offset = size / 2 - linear @ [half, half]
     matrix = np.column_stack([linear, offset + linear @ [0.5, 0.5] - 0.5])
-    smooth = cv2.GaussianBlur(layers, (0, 0), sigma)
     return np.asarray(cv2.warpAffine(smooth, matrix, (size, size), flags=cv2.INTER_LINEAR), dtype=np.float32)

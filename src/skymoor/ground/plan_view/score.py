@@ -1,77 +1,157 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The agreement in plan of single similarities, as the search in plan scores them."""
+"""The agreement in plan of single similarities."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skymoor.geometry import Similarity
-from skymoor.ground.plan_view.search import PlanSearchOptions, Usual, all_maps, penalty, usual
+from skymoor.ground.plan_view.ground_colour import GroundCells
 from skymoor.ground.plan_view.target import PlanTarget
-from skymoor.ground.plan_view.template import PlanModel
-from skymoor.types import Array32
+from skymoor.ground.plan_view.template import PlanModel, PlanPoints
+from skymoor.types import Array, Array32, Mask
+
+Whole = NDArray[np.int32]
 
 SCALE_STEP = 1.1  # scales this near have the same distribution of scores
-SHIFTS = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 2)
 AZIMUTHS = np.radians(np.arange(0.0, 360.0, 60.0)).tolist()
+USUAL_PLACES = 150  # of an azimuth, that tell how well a component agrees by chance
+MIN_USUAL = 60  # of them and of all azimuths, that must be possible
+LEAST_GROUND = -1.5  # another season or parked cars speak against a place only so much
+
+
+@dataclass(frozen=True)
+class ScoreOptions:
+    """What is taken off the agreement of a component with a map.
+
+    Attributes:
+        usual_height_m, height_sigma: of the cameras, which are one level unit above the ground: log-normal.
+        on_map: share of walls and of free space that must lie where heights are known.
+        allowed_inside, inside_weight: share of free space within houses that is allowed, and the score that is taken
+            off for the rest of it.
+    """
+
+    usual_height_m: float = 1.7
+    height_sigma: float = 0.5
+    on_map: float = 0.7
+    allowed_inside: float = 0.02
+    inside_weight: float = 15.0
+
+    def penalty(self, inside: Array32, scale: float) -> Array32:
+        """For free space in houses, and for an unusual height of the cameras."""
+        height = np.log(scale / self.usual_height_m) / self.height_sigma
+        return np.asarray(self.inside_weight * np.maximum(inside - self.allowed_inside, 0) + height**2 / 2)
+
+
+@dataclass(frozen=True)
+class Usual:
+    """Mean and standard deviation of the agreement over places: with steps, and with ground, where these are known."""
+
+    steps: tuple[float, float]
+    ground: tuple[float, float] | None
+
+    def score(self, steps: Array32, ground: Array32 | None) -> Array32:
+        """Agreement in standard deviations; that of the ground is zero where it is unknown."""
+        mean, spread = self.steps
+        found = (steps - mean) / spread
+        if ground is None or self.ground is None:
+            return found
+        mean, spread = self.ground
+        return np.asarray(found + np.nan_to_num(np.maximum((ground - mean) / spread, LEAST_GROUND)), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class PlanScores:
-    """Scores of a component on height steps; what is needed of a scale is computed once."""
+    """Scores of a component on a map; what is needed of a scale is computed once."""
 
     model: PlanModel
     target: PlanTarget
-    options: PlanSearchOptions
-    _usual: dict[int, Usual | None] = field(default_factory=dict)
+    options: ScoreOptions
+    _of_scale: dict[int, tuple[PlanPoints, Usual | None]] = field(default_factory=dict)
 
     def at(self, enu_from_level: Similarity) -> float:
-        """The score of a similarity, see `PlanHypothesis`; NaN where too little of the component is on the map."""
-        scale, cell = enu_from_level.scale, self.target.grid.pixel_m
-        typical = self._usual_at(scale)
+        """The score of a similarity, see `PlanHypothesis`; NaN where too little of the component is on the map.
+
+        The best within a cell: walls are not known better on either side.
+        """
+        found = self.around(enu_from_level, 1)
+        return float(np.nanmax(found)) if np.isfinite(found).any() else float("nan")
+
+    def around(self, enu_from_level: Similarity, reach: int) -> Array:
+        """Scores (2 reach + 1, 2 reach + 1) of the similarity moved by whole cells, rows going south."""
+        side, scale = 2 * reach + 1, enu_from_level.scale
+        points, typical = self._at_scale(scale)
         if typical is None:
-            return float("nan")
-        azimuth = float(np.arctan2(enu_from_level.rotation[1, 0], enu_from_level.rotation[0, 0]))
-        normals, free = self.model.at(scale, azimuth, cell)
-        centre = enu_from_level.apply(np.array([[*self.model.centre, 0.0]]))[:, :2]
-        corner = np.round(self.target.grid.px_from_enu(centre)[0] - free.shape[0] / 2).astype(np.int64)
-        corners = corner + SHIFTS
-        ground = np.zeros(len(corners), np.float32)
-        if self.target.colour is not None:
-            cells = self.model.ground_at(scale, azimuth, cell)
-            ground = typical.ground_score(cells.agreement(self.target.colour, corners))
-        values = []
-        for (u, v), of_ground in zip(corners.tolist(), ground.tolist(), strict=True):
-            sums = self._sums(normals, free, u, v)
-            if sums is not None:
-                steps, inside = sums
-                values.append(typical.steps_score(steps) - penalty(inside, scale, self.options) + of_ground)
-        return float(max(values)) if values else float("nan")
+            return np.full((side, side), np.nan)
+        moves = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2).astype(np.int32) - reach
+        steps, inside, valid, ground = self._sums(points, enu_from_level, moves)
+        scores = typical.score(steps, ground) - self.options.penalty(inside, scale)
+        return np.where(valid, scores, np.nan).astype(np.float64).reshape(side, side)
 
-    def _usual_at(self, scale: float) -> Usual | None:
+    def _at_scale(self, scale: float) -> tuple[PlanPoints, Usual | None]:
         step = round(float(np.log(scale) / np.log(SCALE_STEP)))
-        if step not in self._usual:
+        if step not in self._of_scale:
             near = SCALE_STEP**step
-            maps = all_maps(self.model, self.target, near, AZIMUTHS, self.options)
-            cells = [self.model.ground_at(near, azimuth, self.target.grid.pixel_m) for azimuth in AZIMUTHS]
-            self._usual[step] = usual(maps, cells, self.target)
-        return self._usual[step]
+            points = self.model.points(self.target.grid.pixel_m / near)
+            self._of_scale[step] = points, self._usual(points, near)
+        return self._of_scale[step]
 
-    def _sums(self, normals: Array32, free: Array32, u: int, v: int) -> tuple[float, float] | None:
-        """Agreement with the steps and share of free space in houses, with the rasters' first pixel at (u, v)."""
-        rows, columns = self.target.known.shape
-        side = free.shape[0]
-        v0, v1, u0, u1 = max(v, 0), min(v + side, rows), max(u, 0), min(u + side, columns)
-        if v1 <= v0 or u1 <= u0:
+    def _usual(self, points: PlanPoints, scale: float) -> Usual | None:
+        """Of places all over the map; None where too few are possible."""
+        rng, (rows, columns) = np.random.default_rng(0), self.target.known.shape
+        found = []
+        for azimuth in AZIMUTHS:
+            c, s = scale * np.cos(azimuth), scale * np.sin(azimuth)
+            turn = Similarity(scale, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, scale]]) / scale, np.zeros(3))
+            east, north = turn.apply(np.array([[*self.model.centre, 0.0]]))[0, :2]
+            # The component's middle at the first cell, then all over the map.
+            corner = np.array([self.target.grid.east0 - east, self.target.grid.north0 - north, 0.0])
+            places = rng.integers(0, [columns, rows], (USUAL_PLACES, 2), dtype=np.int32)
+            steps, _, valid, ground = self._sums(points, Similarity(1.0, np.eye(3), corner) @ turn, places)
+            found.append((steps[valid], (np.full_like(steps, np.nan) if ground is None else ground)[valid]))
+        steps, ground = (np.concatenate(part) for part in zip(*found, strict=True))
+        if len(steps) < MIN_USUAL:
             return None
-        here, own = np.s_[v0:v1, u0:u1], np.s_[v0 - v : v1 - v, u0 - u : u1 - u]
-        known, weight = self.target.known[here], np.hypot(*normals)
-        free_known = float((free[own] * known).sum())
-        least = self.options.on_map
-        if free_known < least * free.sum() or (weight[own] * known).sum() < least * weight.sum():
-            return None
-        steps = sum(float((one[own] * step[here]).sum()) for one, step in zip(normals, self.target.steps, strict=True))
-        houses = float((free[own] * self.target.raised[here]).sum())
-        return steps, houses / max(free_known, 1.0)
+        known = ground[np.isfinite(ground)]
+        of_ground = (float(known.mean()), max(float(known.std()), 1e-6)) if len(known) >= MIN_USUAL else None
+        return Usual((float(steps.mean()), max(float(steps.std()), 1e-9)), of_ground)
+
+    def _sums(
+        self, points: PlanPoints, enu_from_level: Similarity, moves: Whole
+    ) -> tuple[Array32, Array32, Mask, Array32 | None]:
+        """Agreement with the steps, share of free space in houses, whether enough is on the map, ground; each (n,)."""
+        turn, least = enu_from_level.rotation[:2, :2], self.options.on_map
+        walls, free = (self._cells(enu_from_level, xy)[None] + moves[:, None] for xy in (points.walls, points.free))
+        normals = (points.normals @ turn.T * [1, -1]).astype(np.float32)
+        weight = np.hypot(*normals.T)
+        east, south, known = self.target.steps_and_known
+        on_walls = _flat(east, walls)
+        steps = east.ravel()[on_walls] @ normals[:, 0] + south.ravel()[on_walls] @ normals[:, 1]
+        on_map = known.ravel()[on_walls] @ weight >= least * weight.sum()
+        in_free = _flat(known, free)
+        free_known = known.ravel()[in_free] @ points.freedom
+        valid = on_map & (free_known >= least * points.freedom.sum())
+        inside = self.target.padded_raised.ravel()[in_free] @ points.freedom / np.maximum(free_known, 1e-6)
+        if self.target.colour is None:
+            return steps, inside, valid, None
+        cells = GroundCells(self._cells(enu_from_level, points.ground), points.channels)
+        return steps, inside, valid, cells.agreement(self.target.colour, moves)
+
+    def _cells(self, enu_from_level: Similarity, xy: Array) -> Whole:
+        """Cells (n, 2), u and v, of plan positions of the level frame."""
+        enu = enu_from_level.apply(np.column_stack([xy, np.zeros(len(xy))]))
+        return np.floor(self.target.grid.px_from_enu(enu[:, :2])).astype(np.int32)
+
+
+def _flat(padded: Array32, cells: Whole) -> Whole:
+    """Flat elements (...) of cells (..., 2), u and v, in a layer with a border of one cell, which is all beyond it."""
+    rows, columns = padded.shape
+    u, v = cells[..., 0] + 1, cells[..., 1] + 1
+    np.clip(u, 0, columns - 1, out=u)
+    np.clip(v, 0, rows - 1, out=v)
+    v *= columns
+    v += u
+    return v

@@ -1,28 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Search of a ground component in plan over scale, azimuth and place, by FFT."""
+"""Search of a ground component in plan over scale, azimuth and place: by FFT in large cells, then point by point."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from skymoor.engines.options import FIXED
 from skymoor.geometry import Similarity
-from skymoor.ground.plan_view.ground_colour import GroundCells
+from skymoor.ground.plan_view.posterior import moved
+from skymoor.ground.plan_view.score import LEAST_GROUND, PlanScores, ScoreOptions
 from skymoor.ground.plan_view.target import PlanTarget
-from skymoor.ground.plan_view.template import PlanModel
+from skymoor.ground.plan_view.template import PlanModel, ScaledModel
 from skymoor.types import Array, Array32, Mask, Progress, no_progress
 
 Whole = NDArray[np.int64]
 
-MIN_VALID = 300  # places that must be possible at a scale for its scores to be standardised
+MIN_VALID = 80  # places that must be possible at a scale for its scores to be standardised
 BIN_DEG = 6
-APART_CELLS = 6
-PEAKS = 8  # places of an azimuth at a scale whose ground is compared
-USUAL_PLACES, MIN_USUAL = 16, 60  # of an azimuth, that tell how well ground agrees by chance; of all azimuths, needed
-LEAST_GROUND = -1.5  # another season or parked cars speak against a place only so much
+APART_CELLS = 3
+COARSER_FROM_M = 3.3  # metres per unit: details of a component are as large as cells four times as large then
+REACH = 2  # cells of the map: half a large one and what rounding adds
+PEAKS = 8  # places of an azimuth at a scale
 
 
 @dataclass(frozen=True)
@@ -35,39 +37,32 @@ class PlanSearchOptions:
         azimuth_step_deg: spacing of the azimuths.
         azimuth_ratio: azimuths at which the directions of the walls of both sides agree less than so many times the
             best are passed over.
-        usual_height_m, height_sigma: of the cameras, which are one level unit above the ground: log-normal.
-        on_map: share of walls and of free space that must lie where heights are known.
-        allowed_inside, inside_weight: share of free space within houses that is allowed, and the score that is taken
-            off for the rest of it.
+        screened: places in large cells that are scored in the map's own.
         keep: hypotheses that are returned.
         apart_m: distance of their cameras.
+        score: how they are scored.
     """
 
     min_scale: float = 0.4
     max_scale: float = 8.0
-    scale_step: float = 1.07
-    azimuth_step_deg: float = 5.0
+    scale_step: float = 1.1
+    azimuth_step_deg: float = 6.0
     azimuth_ratio: float = 0.5
-    usual_height_m: float = 1.7
-    height_sigma: float = 0.5
-    on_map: float = 0.7
-    allowed_inside: float = 0.02
-    inside_weight: float = 15.0
+    screened: int = 120
     keep: int = 24
     apart_m: float = 3.0
+    score: ScoreOptions = field(default_factory=ScoreOptions, metadata=FIXED)
 
 
 @dataclass(frozen=True, eq=False)
 class PlanHypothesis:
     """A similarity in plan of a level model; heights are not told.
 
-    `score` is the standardised agreement with the height steps and with the ground's colours, less what contradicts it;
-    `inside` the share of free space within houses.
+    `score` is the standardised agreement with the height steps and with the ground's colours, less what contradicts it.
     """
 
     enu_from_level: Similarity
     score: float
-    inside: float
 
 
 def search_plan(
@@ -81,12 +76,21 @@ def search_plan(
     options = options or PlanSearchOptions()
     count = int(np.log(options.max_scale / options.min_scale) / np.log(options.scale_step)) + 1
     scales = options.min_scale * options.scale_step ** np.arange(count)
-    azimuths = _azimuths(model, target, options)
+    azimuths, coarse = _azimuths(model, target, options), target.halved()
+    coarser = coarse.halved()
     found: list[PlanHypothesis] = []
     for done, scale in enumerate(scales.tolist()):
-        found += _at_scale(model, target, scale, azimuths, options)
-        progress(done + 1, len(scales))
-    return _apart(found, model, options)
+        found += _at_scale(model, coarser if scale > COARSER_FROM_M else coarse, scale, azimuths, options)
+        progress(done + 1, len(scales) + 1)
+    scores = PlanScores(model, target, options.score)
+    screened = _apart(found, model, options.apart_m, options.screened)
+    finer = _finer(scores, screened, np.zeros((1, 2)), options)
+    best = sorted(finer, key=lambda hypothesis: -hypothesis.score)[: 2 * options.keep]
+    half = np.log(options.scale_step) / 2, np.radians(options.azimuth_step_deg) / 2
+    turns = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 2) * half
+    finer = _finer(scores, best, turns, options)
+    progress(len(scales) + 1, len(scales) + 1)
+    return _apart(finer, model, options.apart_m, options.keep)
 
 
 def _azimuths(model: PlanModel, target: PlanTarget, options: PlanSearchOptions) -> list[float]:
@@ -110,127 +114,63 @@ def _directions(u: Array32, v: Array32) -> Array:
     return np.asarray(counts / max(float(np.linalg.norm(counts)), 1e-12))
 
 
-def all_maps(
-    model: PlanModel, target: PlanTarget, scale: float, azimuths: list[float], options: PlanSearchOptions
-) -> list[tuple[Array32, Array32, Mask]]:
-    """`_maps` at some azimuths; elements of negative index are places beyond the first row or column."""
-    cell, (rows, columns) = target.grid.pixel_m, target.known.shape
-    size = model.size_at(scale, cell)
-    padded = fft.next_fast_len(rows + size, real=True), fft.next_fast_len(columns + size, real=True)
-    layers = np.stack([*target.steps, target.raised, target.known.astype(np.float32)])
-    spectra = fft.rfft2(layers, s=padded, workers=-1)
-    return [_maps(*model.at(scale, azimuth, cell), spectra, padded, options) for azimuth in azimuths]
-
-
-@dataclass(frozen=True)
-class Usual:
-    """Mean and standard deviation of the agreement over all places of a scale: with steps, and with ground."""
-
-    steps: tuple[float, float]
-    ground: tuple[float, float] | None
-
-    def steps_score(self, agreement: Array32 | float) -> Array32 | float:
-        mean, spread = self.steps
-        return (agreement - mean) / spread
-
-    def ground_score(self, agreement: Array32) -> Array32:
-        """Zero where it is unknown."""
-        if self.ground is None:
-            return np.zeros_like(agreement)
-        mean, spread = self.ground
-        return np.asarray(np.nan_to_num(np.maximum((agreement - mean) / spread, LEAST_GROUND)), dtype=np.float32)
-
-
-def usual(maps: list[tuple[Array32, Array32, Mask]], cells: list[GroundCells], target: PlanTarget) -> Usual | None:
-    """Of all places and azimuths of a scale; None where there are too few places."""
-    values = np.concatenate([steps[valid] for steps, _, valid in maps])
-    if len(values) < MIN_VALID:
-        return None
-    steps = float(values.mean()), max(float(values.std()), 1e-9)
-    if target.colour is None:
-        return Usual(steps, None)
-    found = []
-    for (_, _, valid), own in zip(maps, cells, strict=True):
-        places = np.flatnonzero(valid)
-        chosen = places[np.linspace(0, len(places) - 1, USUAL_PLACES).astype(np.int64)] if len(places) else places
-        found.append(own.agreement(target.colour, _corners(chosen, target, valid.shape)))
-    known = np.concatenate(found)
-    known = known[np.isfinite(known)]
-    if len(known) < MIN_USUAL:
-        return Usual(steps, None)
-    return Usual(steps, (float(known.mean()), max(float(known.std()), 1e-6)))
-
-
-def _corners(places: Whole, target: PlanTarget, padded: tuple[int, ...]) -> Whole:
-    """Cells (n, 2), u and v, of flat places of a padded map; those beyond the target are before its first cell."""
-    rows, columns = np.unravel_index(places, padded)
-    height, width = target.known.shape
-    u = np.where(columns >= width, columns - padded[1], columns)
-    v = np.where(rows >= height, rows - padded[0], rows)
-    return np.column_stack([u, v])
-
-
-def penalty(inside: Array32 | float, scale: float, options: PlanSearchOptions) -> Array32 | float:
-    """What is taken off a score: for free space in houses, and for an unusual height of the cameras."""
-    height = np.log(scale / options.usual_height_m) / options.height_sigma
-    return options.inside_weight * np.maximum(inside - options.allowed_inside, 0) + height**2 / 2  # type: ignore[no-any-return]
-
-
 def _at_scale(
     model: PlanModel, target: PlanTarget, scale: float, azimuths: list[float], options: PlanSearchOptions
 ) -> list[PlanHypothesis]:
     """The best places at one scale; scores are standardised over all places and azimuths at this scale."""
-    cell = target.grid.pixel_m
-    maps = all_maps(model, target, scale, azimuths, options)
-    cells = [model.ground_at(scale, azimuth, cell) for azimuth in azimuths]
-    typical = usual(maps, cells, target)
-    if typical is None:
+    cell, (rows, columns) = target.grid.pixel_m, target.known.shape
+    scaled = model.at_scale(scale, cell)
+    size = scaled.size
+    padded = fft.next_fast_len(rows + size, real=True), fft.next_fast_len(columns + size, real=True)
+    layers = [*target.steps, target.raised, target.known.astype(np.float32)]
+    layers += [] if target.colour is None else list(target.colour.local)
+    spectra = fft.rfft2(np.stack(layers), s=padded, workers=-1)
+    maps = [_maps(scaled, azimuth, spectra, padded, options.score) for azimuth in azimuths]
+    steps, shades = (np.concatenate([one[k][one[3]] for one in maps]) for k in (0, 2))
+    if len(steps) < MIN_VALID:
         return []
-    size = model.size_at(scale, cell)
     found = []
-    for azimuth, own, (steps, inside, valid) in zip(azimuths, cells, maps, strict=True):
-        score = typical.steps_score(steps) - penalty(inside, scale, options)
-        places, values = _peaks(np.where(valid, score, -np.inf).astype(np.float32))
-        corners = _corners(places, target, steps.shape)
-        if target.colour is not None and len(places):
-            values = values + typical.ground_score(own.agreement(target.colour, corners))
-        for corner, place, value in zip(corners, places.tolist(), values.tolist(), strict=True):
-            similarity = _similarity(model, target, scale, azimuth, corner + size / 2)
-            found.append(PlanHypothesis(similarity, value, float(inside.flat[place])))
+    for azimuth, (agreement, inside, colours, valid) in zip(azimuths, maps, strict=True):
+        score = (agreement - steps.mean()) / max(float(steps.std()), 1e-9) - options.score.penalty(inside, scale)
+        score = score + np.maximum((colours - shades.mean()) / max(float(shades.std()), 1e-9), LEAST_GROUND)
+        for row, column, value in _peaks(np.where(valid, score, -np.inf).astype(np.float32)):
+            u = column - padded[1] if column >= columns else column
+            v = row - padded[0] if row >= rows else row
+            similarity = _similarity(model, target, scale, azimuth, np.array([u, v]) + size / 2)
+            found.append(PlanHypothesis(similarity, value))
     return found
 
 
 def _maps(
-    normals: Array32, free: Array32, spectra: Array, padded: tuple[int, int], options: PlanSearchOptions
-) -> tuple[Array32, Array32, Mask]:
-    """Of all places: agreement with the steps, share of free space in houses, and whether enough is on the map."""
+    scaled: ScaledModel, azimuth: float, spectra: Array, padded: tuple[int, int], options: ScoreOptions
+) -> tuple[Array32, Array32, Array32, Mask]:
+    """Of all places: agreement with the steps, share of free space in houses, agreement of the ground, whether enough
+    is on the map; elements of negative index are places beyond the first row or column.
+    """
+    normals, free = scaled.turned(azimuth)
     weight = np.hypot(*normals)
     own = np.conj(fft.rfft2(np.stack([*normals, free, weight]), s=padded, workers=-1))
-    steps, houses, free_known, walls_known = fft.irfft2(
-        np.stack(
-            [spectra[0] * own[0] + spectra[1] * own[1], spectra[2] * own[2], spectra[3] * own[2], spectra[3] * own[3]]
-        ),
-        s=padded,
-        workers=-1,
-    )
+    products = [spectra[0] * own[0] + spectra[1] * own[1], *(spectra[2:4] * own[2]), spectra[3] * own[3]]
+    if len(spectra) > len(own):
+        ground = scaled.turned_ground(azimuth).layers(scaled.size)
+        products.append((spectra[4:] * np.conj(fft.rfft2(ground, s=padded, workers=-1))).sum(axis=0))
+    steps, houses, free_known, walls_known, *colours = fft.irfft2(np.stack(products), s=padded, workers=-1)
     valid = (free_known >= options.on_map * free.sum()) & (walls_known >= options.on_map * weight.sum())
-    return steps, houses / np.maximum(free_known, 1.0), valid
+    inside = houses / np.maximum(free_known, 1.0)
+    return steps, inside, colours[0] if colours else np.zeros_like(steps), valid
 
 
-def _peaks(score: Array32) -> tuple[Whole, Array32]:
-    """Flat places and scores of the highest local maxima, best first."""
-    score = score.copy()
-    places, values = [], []
+def _peaks(score: Array32) -> list[tuple[int, int, float]]:
+    """Rows, columns and scores of the highest local maxima, best first."""
+    score, found = score.copy(), []
     for _ in range(PEAKS):
-        place = int(np.argmax(score))
-        row, column = np.unravel_index(place, score.shape)
+        row, column = (int(x) for x in np.unravel_index(int(np.argmax(score)), score.shape))
         if not np.isfinite(score[row, column]):
             break
-        places.append(place)
-        values.append(score[row, column])
-        rows, columns = (slice(max(0, int(x) - APART_CELLS), int(x) + APART_CELLS + 1) for x in (row, column))
+        found.append((row, column, float(score[row, column])))
+        rows, columns = (slice(max(0, x - APART_CELLS), x + APART_CELLS + 1) for x in (row, column))
         score[rows, columns] = -np.inf
-    return np.array(places, dtype=np.int64), np.array(values, dtype=np.float32)
+    return found
 
 
 def _similarity(model: PlanModel, target: PlanTarget, scale: float, azimuth: float, centre_px: Array) -> Similarity:
@@ -241,15 +181,37 @@ def _similarity(model: PlanModel, target: PlanTarget, scale: float, azimuth: flo
     return Similarity(scale, rotation, np.array([*east_north, 0.0]) - scale * rotation @ source)
 
 
-def _apart(found: list[PlanHypothesis], model: PlanModel, options: PlanSearchOptions) -> list[PlanHypothesis]:
-    """Best first, without those whose cameras are near those of a better one."""
+def _finer(
+    scores: PlanScores, hypotheses: list[PlanHypothesis], turns: Array, options: PlanSearchOptions
+) -> list[PlanHypothesis]:
+    """Each hypothesis at its best place within the large cells, of some changes (n, 2) of log scale and azimuth."""
+    pivot, cell, found = scores.model.cameras, scores.target.grid.pixel_m, []
+    for hypothesis in hypotheses:
+        best = None
+        for log_scale, azimuth in turns:
+            turned = moved(hypothesis.enu_from_level, np.array([log_scale, azimuth, 0.0, 0.0]), pivot)
+            values = np.nan_to_num(scores.around(turned, REACH), nan=-np.inf)
+            row, column = np.unravel_index(int(np.argmax(values)), values.shape)
+            if values[row, column] > (-np.inf if best is None else best.score) and _within(turned.scale, options):
+                shift = cell * np.array([0.0, 0.0, column - REACH, REACH - row])
+                best = PlanHypothesis(moved(turned, shift, pivot), float(values[row, column]))
+        found += [] if best is None else [best]
+    return found
+
+
+def _within(scale: float, options: PlanSearchOptions) -> bool:
+    return options.min_scale * (1 - 1e-6) <= scale <= options.max_scale * (1 + 1e-6)
+
+
+def _apart(found: list[PlanHypothesis], model: PlanModel, apart_m: float, count: int) -> list[PlanHypothesis]:
+    """The best first, without those whose cameras are near those of a better one."""
     kept: list[PlanHypothesis] = []
-    places: list[Array] = []
+    places = np.zeros((0, len(model.cameras), 2))
     for one in sorted(found, key=lambda hypothesis: -hypothesis.score):
         place = one.enu_from_level.apply(model.cameras)[:, :2]
-        if all(np.linalg.norm(place - other, axis=1).mean() >= options.apart_m for other in places):
+        if (np.linalg.norm(places - place, axis=2).mean(axis=1) >= apart_m).all():
             kept.append(one)
-            places.append(place)
-            if len(kept) == options.keep:
+            places = np.concatenate([places, place[None]])
+            if len(kept) == count:
                 break
     return kept

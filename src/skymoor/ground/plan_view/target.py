@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from skymoor.geo import Grid
-from skymoor.ground.plan_view.ground_colour import ColourMap
+from skymoor.ground.plan_view.ground_colour import ColourMap, halved
 from skymoor.ground.wall_planes import Wall
 from skymoor.registration import ground_level
 from skymoor.registration.bare_earth import RAISED_M
@@ -38,6 +39,27 @@ class PlanTarget:
     raised: Array32
     known: Mask
     colour: ColourMap | None = None
+
+    @cached_property
+    def steps_and_known(self) -> tuple[Array32, Array32, Array32]:
+        """Both layers of steps, and where heights are known, each with a border of one cell of zeros."""
+        u, v, known = (np.pad(layer, 1) for layer in (*self.steps, self.known.astype(np.float32)))
+        return u, v, known
+
+    @cached_property
+    def padded_raised(self) -> Array32:
+        """`raised` with the same border."""
+        return np.pad(self.raised, 1)
+
+    def halved(self) -> PlanTarget:
+        """The same in cells twice as large."""
+        shape = ((self.known.shape[0] + 1) // 2, (self.known.shape[1] + 1) // 2)
+        grid = Grid(self.grid.east0, self.grid.north0, 2 * self.grid.pixel_m, shape)
+        steps = np.stack([halved(step) for step in self.steps])
+        known = halved(self.known.astype(np.float32)) >= 0.5
+        return PlanTarget(
+            grid, steps, halved(self.raised), known, None if self.colour is None else self.colour.halved()
+        )
 
 
 def plan_target(

@@ -4,13 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from skymoor.errors import DegenerateGeometry
-from skymoor.ground.plan_view.ground_colour import GroundCells, ground_cells, ground_picture, turned_layers
+from skymoor.ground.plan_view.ground_colour import (
+    GroundCells,
+    Whole,
+    ground_cells,
+    ground_layers,
+    ground_picture,
+    smoothed_layers,
+    turned_layers,
+)
 from skymoor.ground.surface import surface_of
 from skymoor.types import Array, Array32, DepthMap, Image, Mask
 
@@ -23,6 +31,25 @@ SECTOR_QUANTILE = 0.3  # of the distances seen in a sector: what is nearer is fr
 MIN_RAYS, MIN_VIEWS, ENOUGH_VIEWS = 3, 2, 3
 LOW = 1.0  # above the camera, level units: rays to higher points may pass over things
 RAYS = 3000  # of a photo
+MOST_POINTS = 2000  # of walls and of free space
+
+
+@dataclass(frozen=True, eq=False)
+class PlanPoints:
+    """Points of a component in plan, of its level frame.
+
+    Attributes:
+        walls, normals: (n, 2) on steep surfaces, and their outward normals times their weight.
+        free, freedom: (m, 2) in free space, and how free (m,), 0 to 1.
+        ground, channels: (k, 2) on the ground, and their colours (3, k), as coarse as a map.
+    """
+
+    walls: Array
+    normals: Array
+    free: Array
+    freedom: Array32
+    ground: Array
+    channels: Array32
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,25 +73,69 @@ class PlanModel:
     centre: Array
     cameras: Array
 
-    def size_at(self, scale: float, cell_m: float) -> int:
-        """Side of the turned rasters, in cells of a map where a level unit is `scale` metres."""
-        return max(8, int(np.ceil(self.free.shape[0] * self._zoom(scale, cell_m) * np.sqrt(2))))
+    def at_scale(self, scale: float, cell_m: float) -> ScaledModel:
+        """The rasters to be turned, in cells of a map where a level unit is `scale` metres."""
+        zoom = self.pixel * scale / cell_m
+        layers = np.dstack([*self.normals, self.free])
+        plan, ground = (smoothed_layers(one, zoom) for one in (layers, ground_layers(self.rgb, self.shown)))
+        return ScaledModel(plan, ground, zoom, max(8, int(np.ceil(self.free.shape[0] * zoom * np.sqrt(2)))))
 
-    def at(self, scale: float, azimuth_rad: float, cell_m: float) -> tuple[Array32, Array32]:
-        """`normals` and `free` turned counter-clockwise, in cells of a map where a level unit is `scale` metres."""
-        layers, size = np.dstack([*self.normals, self.free]), self.size_at(scale, cell_m)
-        turned = turned_layers(layers, self._zoom(scale, cell_m), azimuth_rad, size)
-        u, v, free = np.ascontiguousarray(np.moveaxis(turned, -1, 0))
+    def points(self, cell: float) -> PlanPoints:
+        """Some of its pixels as points; `cell` of the map they are compared with, in level units."""
+        walls, free = np.hypot(*self.normals) > 0, self.free > 0
+        (u, v), (columns, rows) = self._some(walls), self._some(free)
+        zoom = self.pixel / cell
+        size = max(8, int(np.ceil(self.free.shape[0] * zoom)))
+        ground = ground_cells(smoothed_layers(ground_layers(self.rgb, self.shown), zoom), zoom, 0.0, size)
+        on_ground = (ground.offsets + 0.5 - size / 2) * [1, -1] * cell + self.centre
+        return PlanPoints(
+            self._level(u, v),
+            self.normals[:, v, u].T * [1, -1],
+            self._level(columns, rows),
+            self.free[rows, columns],
+            on_ground,
+            ground.channels,
+        )
+
+    def _some(self, chosen: Mask) -> tuple[Whole, Whole]:
+        """Columns and rows of pixels, evenly, no more than `MOST_POINTS`."""
+        v, u = np.nonzero(chosen)
+        kept = np.linspace(0, len(u) - 1, min(len(u), MOST_POINTS)).astype(np.int64)
+        return u[kept], v[kept]
+
+    def _level(self, u: Whole, v: Whole) -> Array:
+        """Plan positions (n, 2) of the centres of pixels."""
+        px = np.column_stack([u, v]) + 0.5 - self.free.shape[0] / 2
+        return np.asarray(px * [1, -1] * self.pixel + self.centre)
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledModel:
+    """A component at one scale: blurred layers of its plan and ground, and the side of the turned rasters in cells."""
+
+    plan: Array32
+    ground: Array32
+    zoom: float
+    size: int
+
+    def turned(self, azimuth_rad: float) -> tuple[Array32, Array32]:
+        """`normals` and `free` turned counter-clockwise."""
+        u, v, free = np.moveaxis(turned_layers(self.plan, self.zoom, azimuth_rad, self.size), -1, 0)
         c, s = np.cos(azimuth_rad), np.sin(azimuth_rad)
-        return np.stack([c * u + s * v, -s * u + c * v]).astype(np.float32), free
+        return np.stack([c * u + s * v, -s * u + c * v]).astype(np.float32), np.ascontiguousarray(free)
 
-    def ground_at(self, scale: float, azimuth_rad: float, cell_m: float) -> GroundCells:
-        """The ground turned counter-clockwise, in cells from the corner of the rasters of `at`."""
-        size = self.size_at(scale, cell_m)
-        return ground_cells(self.rgb, self.shown, self._zoom(scale, cell_m), azimuth_rad, size)
+    def turned_ground(self, azimuth_rad: float) -> GroundCells:
+        """The ground turned counter-clockwise, in cells from the corner of the other rasters."""
+        return ground_cells(self.ground, self.zoom, azimuth_rad, self.size)
 
-    def _zoom(self, scale: float, cell_m: float) -> float:
-        return self.pixel * scale / cell_m
+
+def mirrored(model: PlanModel) -> PlanModel:
+    """The mirror image of a component about its middle: as plausible, and found nowhere."""
+    normals = model.normals[:, :, ::-1] * np.array([-1, 1], np.float32)[:, None, None]
+    free, rgb, shown = model.free[:, ::-1], model.rgb[:, ::-1], model.shown[:, ::-1]
+    away = (model.cameras[:, :2] - model.centre) * [-1.0, 1.0]
+    cameras = np.column_stack([model.centre + away, model.cameras[:, 2]])
+    return replace(model, normals=normals, free=free, rgb=rgb, shown=shown, cameras=cameras)
 
 
 def plan_model(maps_level: Sequence[DepthMap], *, rng: np.random.Generator) -> PlanModel:

@@ -35,9 +35,8 @@ def _plan_of(
     maps_level: Sequence[DepthMap], airborne: AirborneWalls, options: GroundOptions, rng: np.random.Generator
 ) -> PlanScores | None:
     """The component in plan; None where it shows nothing steep."""
-    limits = replace(options.plan, min_scale=options.min_scale, max_scale=options.max_scale)
     try:
-        return PlanScores(plan_model(maps_level, rng=rng), airborne.plan, limits)
+        return PlanScores(plan_model(maps_level, rng=rng), airborne.plan, options.plan.score)
     except DegenerateGeometry:
         return None
 
@@ -143,8 +142,9 @@ class ComponentSearch:
         nothing = Registration(registered=False, reason="no dense matches", enu_from_level=None)
         if self.plan is None:
             return []
+        limits = replace(self.options.plan, min_scale=self.options.min_scale, max_scale=self.options.max_scale)
         found = []
-        for one in search_plan(self.plan.model, self.plan.target, self.plan.options, progress=progress):
+        for one in search_plan(self.plan.model, self.plan.target, limits, progress=progress):
             flat = one.enu_from_level @ self.metric_from_level.inverse()
             trials = [self._standing(flat, height) for height in HEIGHTS_M]
             best = max(trials, key=lambda trial: self._agreement(trial)[1])

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from skymoor.geometry import Similarity
-from skymoor.ground.plan_view import PlanSearchOptions
+from skymoor.ground.plan_view import ScoreOptions
 from skymoor.registration.criteria import ESTIMATE, criterion, with_criteria
 from skymoor.types import Array, Criterion, Registration
 
@@ -28,7 +28,7 @@ NULL_MEAN, NULL_SPREAD, NULL_COUNT = 7.0, 1.5, 30
 """Of that sum over the best answers for components that were misplaced or mirrored; see docs/benchmarks.md."""
 UNAMBIGUOUS_SHARE = 0.25
 """Of those answers (7 of 30): the ones that also have the contrast and the lead over other places that are needed."""
-USUAL_HEIGHT_M, HEIGHT_SPREAD = PlanSearchOptions.usual_height_m, PlanSearchOptions.height_sigma
+USUAL_HEIGHT_M, HEIGHT_SPREAD = ScoreOptions.usual_height_m, ScoreOptions.height_sigma
 LEAST_HEIGHT_M, LARGEST_LOG = 0.3, 20.0
 """Of cameras above the ground, log-normal: held by people, on dashboards (2 to 3.5 m with the vehicle) and on poles."""
 

@@ -36,8 +36,9 @@ FIGURES = (
     ),
     ("matches", "matches", "Matches", "Render and reference with lines between matches, inliers in green"),
     ("matches", "walls", "Walls", "The same walls from ground photos, from airborne photos, and in alternate squares"),
+    ("matches", "plan", "Plan", "The orthophoto with cameras in yellow, walls in red and free space in blue"),
 )
-WIDE, HALF = {"matches", "walls"}, {"overlay", "residuals"}
+WIDE, HALF = {"matches", "walls", "plan"}, {"overlay", "residuals"}
 SIDES_PX = {"third": 700, "half": 1000, "wide": 1400}
 
 
