@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 # Before anything imports the libraries that read it: no test asks a hub for anything, not even whether it is there.
@@ -39,12 +40,14 @@ def small_world(tmp_path_factory: pytest.TempPathFactory) -> SmallWorld:
 def small_site(tmp_path_factory: pytest.TempPathFactory, small_world: SmallWorld) -> Site:
     """The small world as files, with a reference of another day that is off; do not write into it.
 
-    Beside its site.toml is an airborne.toml that leaves out the ground photos.
+    Beside its site.toml are an airborne.toml and a ground.toml, each with one kind of photos only.
     """
 
     def make() -> Site:
         site = write_site(small_world, tmp_path_factory.mktemp("simulated") / "site")
-        (site.folder / "airborne.toml").write_text(site.toml.read_text().partition("[[ground]]")[0])
+        before, airborne, ground = re.split(r"(?=\[airborne\]|\[\[ground\]\])", site.toml.read_text())
+        (site.folder / "airborne.toml").write_text(before + airborne)
+        (site.folder / "ground.toml").write_text(before + ground)
         return site
 
     return shared(tmp_path_factory, "site", make)

@@ -266,11 +266,10 @@ KINDS: dict[str, Kind] = {
         name="chance of so large a lead at a wrong place",
         scopes=("map",),
         at="most",
-        refusal="the best place ({plan_score:.1f}) does not lead the next one, or the best of the mirror image "
-        "({second_plan_score:.1f}), enough: among wrong places alone that happens with probability {value}; "
-        "at most {limit} is allowed",
+        refusal="the best place ({plan_score:.1f}) does not lead the next one ({second_plan_score:.1f}) enough: "
+        "among wrong places alone that happens with probability {value}; at most {limit} is allowed",
         meaning="In plan (walls on height steps, free space, ground on the orthophoto) the best place must lead all "
-        "others, and all of the mirror image, by more than the highest of many wrong places lead each other.",
+        "others by more than the highest of many wrong places lead each other.",
         limit="at most ground.on_map.max_chance",
         remedy="Take more photos that overlap and go round corners of houses, use a smaller or sharper reference, "
         "or add airborne photos.",

@@ -16,7 +16,7 @@ from skymoor.ground.plan_view.posterior import PlanPosterior, plan_posterior
 from skymoor.ground.plan_view.score import PlanScores
 from skymoor.ground.plan_view.search import PlanSearchOptions, search_plan
 from skymoor.ground.plan_view.target import PlanTarget, plan_target
-from skymoor.ground.plan_view.template import mirrored, plan_model
+from skymoor.ground.plan_view.template import plan_model
 from skymoor.registration import ground_level
 from skymoor.registration.criteria import criterion, with_criteria
 from skymoor.registration.detail import averaged
@@ -25,7 +25,7 @@ from skymoor.types import Array, Array32, DepthMap, HeightVerdict, Progress, Ref
 TILT_SIGMA_DEG = 1.0  # of a levelled component
 DSM_SIGMA_M = 0.5  # of the ground under cameras, beside the reference's own accuracy
 LIKELIEST = 3  # places of which one may be accepted, if others contradict other components
-FEWEST_OTHERS = 6  # places that tell the distribution of scores
+FEWEST_OTHERS, MOST_OTHERS = 6, 13  # places that tell the distribution of the highest scores: lower ones do not
 WITHOUT_HEIGHTS = HeightVerdict("NOT_CONFIRMED", "the reference has no heights here")
 ON_GROUND = HeightVerdict(
     "OFFSET_ONLY", "cameras stand on the reference's ground; their own relief is too small to confirm it"
@@ -40,15 +40,14 @@ class OnMapOptions:
         max_chance: largest probability that the best of many wrong places leads the next one so far.
         apart_m: cameras are at another place if they are at least this far away, on average.
         cell_m: of the search in plan.
-        compared: places of the component, and of its mirror image, from which the distribution of scores at wrong
-            places is estimated.
+        compared: places from which the distribution of scores at wrong ones is estimated.
         plan: of the search.
     """
 
     max_chance: float = 0.01
     apart_m: float = 5.0
     cell_m: float = field(default=0.75, metadata=FIXED)
-    compared: int = field(default=24, metadata=FIXED)
+    compared: int = field(default=16, metadata=FIXED)
     plan: PlanSearchOptions = field(default_factory=lambda: PlanSearchOptions(min_scale=0.5), metadata=FIXED)
 
 
@@ -86,13 +85,11 @@ def map_target(reference: Reference, cell_m: float = OnMapOptions.cell_m) -> Map
 class OnMapHypotheses:
     """The likeliest places of a component on a map, see `Hypotheses`.
 
-    `registrations` are of the first of all its places, whose `place_scores` are in the same order; `wrong_scores` are
-    those of its mirror image, which belongs nowhere.
+    `registrations` are of the first of all its places, whose `place_scores` are in the same order.
     """
 
     registrations: tuple[Registration, ...]
     place_scores: tuple[float, ...]
-    wrong_scores: tuple[float, ...]
     max_chance: float
 
     @property
@@ -112,8 +109,7 @@ class OnMapHypotheses:
         if not left:
             return with_criteria(Registration(registered=False, reason="", enu_from_level=None), [found_any])
         score = self.place_scores[left[0]]
-        own = [other for k, other in enumerate(self.place_scores) if k not in excluded and k != left[0]]
-        others = [*own, *self.wrong_scores]
+        others = [other for k, other in enumerate(self.place_scores) if k not in excluded and k != left[0]]
         diagnostics = {"plan_score": score, "second_plan_score": max(others, default=float("nan"))}
         found = replace(self.registrations[left[0]], diagnostics={**diagnostics, "places": float(len(others) + 1)})
         chance = criterion("chance_of_lead", chance_of_lead(score, others), self.max_chance)
@@ -124,17 +120,18 @@ def chance_of_lead(best: float, others: Sequence[float]) -> float:
     """Probability that the best place of a component leads all others so far though it is a wrong one.
 
     The highest of many scores at wrong places have exponentially distributed spacings, of a mean that does not depend
-    on how many there are (Weissman, Journal of the American Statistical Association 1978), and so not on the area. The
-    ratio of the first spacing to that mean, estimated from the k next ones, has an F distribution. Half of it: the
-    mirror image, whose scores are among the others, leads as often.
+    on how many there are (Weissman, Journal of the American Statistical Association 1978), and so not on the area: of
+    the spacing after the j-th highest it is proportional to 1 / j. The ratio of the first spacing to that mean,
+    estimated from the k next ones, has an F distribution.
     """
     ranked = np.sort(np.asarray(others, dtype=np.float64))[::-1]
-    ranked = ranked[np.isfinite(ranked)]
+    ranked = ranked[np.isfinite(ranked)][:MOST_OTHERS]
     if len(ranked) < FEWEST_OTHERS:
         return 1.0
     k, lead = len(ranked) - 1, best - float(ranked[0])
-    mean = max(float((ranked[:k] - ranked[k]).mean()), 1e-6)
-    return 1.0 if lead <= 0 else 0.5 * float((1 + lead / (k * mean)) ** -k)
+    # The highest of the others is the second of all.
+    mean = max(float((np.arange(2, k + 2) * -np.diff(ranked)).mean()), 1e-6)
+    return 1.0 if lead <= 0 else float((1 + lead / (k * mean)) ** -k)
 
 
 def search_on_map(
@@ -155,29 +152,19 @@ def search_on_map(
         options: see there.
         min_scale, max_scale: metres per unit that are searched.
         rng: for the plan of the component.
-        progress: counts scales, of the component and of its mirror image.
+        progress: counts scales.
 
     Raises `DegenerateGeometry` where no depth map holds a steep surface.
     """
     options = options or OnMapOptions()
-    limits = replace(options.plan, min_scale=min_scale, max_scale=max_scale, keep=options.compared)
+    limits = replace(options.plan, min_scale=min_scale, max_scale=max_scale)
+    limits = replace(limits, keep=options.compared, apart_m=options.apart_m)
     model = plan_model(maps_level, rng=rng)
     scores = PlanScores(model, target.plan, limits.score)
-    found = search_plan(model, target.plan, limits, progress=_half(progress, 0))
-    wrong = search_plan(mirrored(model), target.plan, limits, progress=_half(progress, 1))
+    found = search_plan(model, target.plan, limits, progress=progress)
     likeliest = (plan_posterior(scores, one.enu_from_level) for one in found[:LIKELIEST])
     registrations = tuple(_registration(one, target, model.cameras) for one in likeliest if one is not None)
-    own, others = (tuple(one.score for one in places) for places in (found, wrong))
-    return OnMapHypotheses(registrations, own, others, options.max_chance)
-
-
-def _half(progress: Progress, number: int) -> Progress:
-    """The progress of the first or of the second of two equal parts."""
-
-    def update(done: int, total: int, note: str = "", /) -> None:
-        progress(done + number * total, 2 * total, note)
-
-    return update
+    return OnMapHypotheses(registrations, tuple(one.score for one in found), options.max_chance)
 
 
 def _registration(found: PlanPosterior, target: MapTarget, cameras: Array) -> Registration:
