@@ -45,12 +45,14 @@ def search_decoys(
     options: SearchOptions | None = None,
     decoys: DecoyOptions | None = None,
     rng: np.random.Generator,
+    by_features: bool | None = None,
     enough: Callable[[Sequence[float]], bool] = lambda _: False,
     progress: Progress = no_progress,
 ) -> list[tuple[Raster, ImageHypothesis]]:
     """Decoys of `a` with their best hypotheses in `b`: null samples for those of `search_hypotheses`.
 
-    Arguments are those of `search_hypotheses`; `rng` shuffles the blocks. From the second decoy on, the loop stops
+    Arguments are those of `search_hypotheses`; `by_features` says how that found what they are compared with; `rng`
+    shuffles the blocks. From the second decoy on, the loop stops
     early once `enough(scores)` is true: each decoy costs as much as the search.
     """
     decoys = decoys or DecoyOptions()
@@ -59,7 +61,13 @@ def search_decoys(
     best: list[tuple[Raster, ImageHypothesis]] = []
     for decoy in make_decoys(a, decoys, rng):
         found = search_in(
-            reference, decoy, min_scale=min_scale, max_scale=max_scale, options=options, progress=no_progress
+            reference,
+            decoy,
+            min_scale=min_scale,
+            max_scale=max_scale,
+            options=options,
+            progress=no_progress,
+            by_features=by_features,
         )
         best += [(decoy, found[0])] if found else []
         if len(best) >= MIN_DECOYS and enough([hypothesis.score for _, hypothesis in best]):

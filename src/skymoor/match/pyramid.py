@@ -17,12 +17,32 @@ class Pyramid:
 
     def at(self, ratio: float) -> Raster:
         """The raster at `ratio` times its size; heights in units of the new pixel."""
+        level = self._level(ratio)
+        return resize(self._levels[level], ratio * 2**level, self._levels[0], ratio)
+
+    def window(self, ratio: float, u0: float, v0: float, side: int) -> tuple[Raster, float, float]:
+        """A part of `at(ratio)` that holds the square of `side` from (u0, v0) on, as far as that is in the raster.
+
+        Returns it with the position (u, v) of its outer corner. Nothing else is resampled: rasters may be large.
+        """
+        level = self._level(ratio)
+        whole, own = self._levels[level], ratio * 2**level
+        rows, columns = whole.mask.shape
+        left, top = (int(np.clip(np.floor(x / own), 0, n - 1)) for x, n in ((u0, columns), (v0, rows)))
+        right, bottom = (int(np.ceil((x + side) / own)) for x in (u0, v0))
+        part = np.s_[top : max(bottom, top + 1), left : max(right, left + 1)]
+        height = None if whole.height is None else whole.height[part]
+        raster = Raster(whole.rgb[part], whole.mask[part], height)
+        return resize(raster, own, raster, own), left * own, top * own
+
+    def _level(self, ratio: float) -> int:
+        """The octave that is resampled for a ratio."""
         level = 0
         while ratio * 2 ** (level + 1) <= 1:
             level += 1
             if level == len(self._levels):
                 self._levels.append(resize(self._levels[-1], 0.5, self._levels[0], 0.5**level))
-        return resize(self._levels[level], ratio * 2**level, self._levels[0], ratio)
+        return level
 
 
 def resize(raster: Raster, ratio: float, original: Raster, overall: float) -> Raster:

@@ -140,7 +140,7 @@ def _consensus(
     decoys = job.store.stage(
         f"{name}.decoys",
         null_samples,
-        hypotheses[0].score,
+        hypotheses[0],
         render,
         job.reference,
         (match.min_height_m, match.max_height_m),

@@ -20,7 +20,7 @@ from skymoor.types import Progress, Raster, Reference, Render, no_progress
 
 
 def null_samples(
-    best_score: float,
+    best: ImageHypothesis,
     render: Render,
     reference: Reference,
     heights_m: tuple[float, float],
@@ -36,10 +36,10 @@ def null_samples(
     seed: int,
     progress: Progress = no_progress,
 ) -> list[NullSample]:
-    """Best scores of decoys, searched and matched as the render is; fewer where `best_score` is decisive so far.
+    """Best scores of decoys, searched and matched as the render is; fewer where the score of `best` is decisive so far.
 
     Args:
-        best_score: of the render.
+        best: of the render; decoys are searched as it was found.
         render, reference, heights_m, min_confidence, options: as in `search_reference`.
         decoys: how many, and how they are made.
         matcher, cyclic: of the dense matches.
@@ -57,10 +57,12 @@ def null_samples(
         options=options,
         decoys=decoys,
         rng=rng,
-        enough=lambda scores: false_alarm_probability(best_score, scores) < decisive,
+        by_features=best.by_features,
+        enough=lambda scores: false_alarm_probability(best.score, scores) < decisive,
         progress=progress,
     )
-    return [_sample(decoy, best, map_image, reference, matcher, cyclic, inlier_m, cell_m, rng) for decoy, best in found]
+    common = (map_image, reference, matcher, cyclic, inlier_m, cell_m, rng)
+    return [_sample(decoy, hypothesis, *common) for decoy, hypothesis in found]
 
 
 def _sample(
