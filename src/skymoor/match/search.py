@@ -243,10 +243,11 @@ class _Search:
         while found:
             steps = [(k * azimuth_step, k * scale_step) for k in (self.coarseness(p.scale) for p in found)]
             refined = [self.refine(p, template_px * 2, *own) for p, own in zip(found, steps, strict=True)]
-            found = distinct(refined, self._shape)
+            # What local features propose may lie off the reference for the most part.
+            found = distinct([p for p in refined if np.isfinite(p.score)], self._shape)
             found = [p for k, p in enumerate(found) if k < 3 or p.score > options.keep_ratio * found[0].score]
             template_px, azimuth_step, scale_step = 2 * template_px, azimuth_step / 2, scale_step / 2
-            if template_px >= options.fine_px or self.ratio(found[0].scale, template_px) >= 1:
+            if template_px >= options.fine_px or (found and self.ratio(found[0].scale, template_px) >= 1):
                 break
         return found
 

@@ -25,7 +25,7 @@ from skymoor.registration import focal_posterior, inlier_limit_m
 from skymoor.registration.criteria import criterion, with_criteria
 from skymoor.types import Component, DepthMap, Mask, Matches3D, Reference, Registration, Render
 
-DECISIVE = 1 / 50
+DECISIVE = 1 / 10
 """Share of the largest false-alarm probability below which further decoys could not change the verdict."""
 IMMATERIAL = 0.25
 """Standard deviations below which a correction of the focal length is left out: they grow by 3 %, a run is saved."""
