@@ -16,6 +16,7 @@ SCOPES = {
     "airborne": "Airborne photos",
     "walls": "Ground photos, method `walls`",
     "tiles": "Ground photos, methods `cascade` and `exhaustive`",
+    "map": "Ground photos without airborne ones",
     "ground": "Ground photos, any method",
 }
 """Titles of the tables of criteria, in their order on the page."""

@@ -120,7 +120,7 @@ class ComponentResult:
 
         A model that is registered to another, or by its plan, takes its scale from that.
         """
-        return self.base is None and self.render is not None
+        return self.base is None and self.plan is None
 
     @property
     def shape_enu(self) -> Array | None:
