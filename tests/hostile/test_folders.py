@@ -92,7 +92,6 @@ CASES = [
     Case("a path of zeros", toml('"ortho.tif"', '"a\\u0000b"'), ("site.toml", r"a\x00b")),
     Case("a path too long", toml('"ortho.tif"', f'"{LONG}"'), ("site.toml", "no file")),
     Case("no photos", toml('[airborne]\nimages = "airborne"', ""), ("site.toml", "there are no images")),
-    Case("ground without airborne", toml("[airborne]", "[[ground]]"), ("site.toml", "[airborne]")),
 ]
 
 
