@@ -11,7 +11,7 @@ import pytest
 
 from skymoor.geo import EnuFrame
 from skymoor.geometry import point_covariance
-from skymoor.ground.plan_view import OnMapHypotheses, OnMapOptions, map_target, mirrored, search_on_map
+from skymoor.ground.plan_view import OnMapHypotheses, OnMapOptions, map_target, search_on_map
 from skymoor.ground.plan_view.on_map import chance_of_lead
 from skymoor.ground.walls import transformed_depth_map
 from skymoor.types import DepthMap, Reference, Registration
@@ -94,16 +94,6 @@ def test_without_relief_there_are_no_height_steps(world: Houses | None, up_m: fl
     up = target.ground_at(np.array([[0.0, 0.0], [500.0, 0.0]]))
     assert np.isnan(up[1])
     assert np.isnan(up[0]) if world is None else up[0] == up_m
-
-
-def test_the_mirror_image_of_the_mirror_image_is_the_component() -> None:
-    model, once = walked_l(), mirrored(walked_l())
-    twice = mirrored(once)
-    for name in ("normals", "free", "rgb", "shown", "cameras"):
-        np.testing.assert_allclose(getattr(twice, name), getattr(model, name), atol=1e-6)
-    # Outwards stays outwards: a step against the normal is the house, in the mirror image as well.
-    assert once.normals[0].sum() == pytest.approx(-model.normals[0].sum(), abs=1e-2)
-    assert once.normals[1].sum() == pytest.approx(model.normals[1].sum(), abs=1e-2)
 
 
 @pytest.mark.parametrize(("count", "scale"), [(24, 1.0), (200, 3.0)])

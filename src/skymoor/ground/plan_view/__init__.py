@@ -7,7 +7,7 @@ from skymoor.ground.plan_view.on_map import MapTarget, OnMapHypotheses, OnMapOpt
 from skymoor.ground.plan_view.score import PlanScores, ScoreOptions
 from skymoor.ground.plan_view.search import PlanHypothesis, PlanSearchOptions, search_plan
 from skymoor.ground.plan_view.target import PlanTarget, plan_target
-from skymoor.ground.plan_view.template import PlanModel, mirrored, plan_model
+from skymoor.ground.plan_view.template import PlanModel, plan_model
 
 __all__ = [
     "ColourMap",
@@ -22,7 +22,6 @@ __all__ = [
     "ScoreOptions",
     "colour_map",
     "map_target",
-    "mirrored",
     "plan_figure",
     "plan_model",
     "plan_target",

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -127,15 +127,6 @@ class ScaledModel:
     def turned_ground(self, azimuth_rad: float) -> GroundCells:
         """The ground turned counter-clockwise, in cells from the corner of the other rasters."""
         return ground_cells(self.ground, self.zoom, azimuth_rad, self.size)
-
-
-def mirrored(model: PlanModel) -> PlanModel:
-    """The mirror image of a component about its middle: as plausible, and found nowhere."""
-    normals = model.normals[:, :, ::-1] * np.array([-1, 1], np.float32)[:, None, None]
-    free, rgb, shown = model.free[:, ::-1], model.rgb[:, ::-1], model.shown[:, ::-1]
-    away = (model.cameras[:, :2] - model.centre) * [-1.0, 1.0]
-    cameras = np.column_stack([model.centre + away, model.cameras[:, 2]])
-    return replace(model, normals=normals, free=free, rgb=rgb, shown=shown, cameras=cameras)
 
 
 def plan_model(maps_level: Sequence[DepthMap], *, rng: np.random.Generator) -> PlanModel:
