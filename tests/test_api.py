@@ -101,7 +101,7 @@ def test_a_site_by_its_data(tmp_path: Path) -> None:
         **{"airborne": str(folder / "airborne"), "ortho": folder / "ortho.tif", "dsm": folder / "dsm.tif"},
         **{"vertical_datum": "ellipsoid", "ce90": 2.1, "le90": 3.8},
     )
-    assert site.airborne == folder / "airborne" and site.ground == () and site.reference.dsm == folder / "dsm.tif"
+    assert site.airborne == (folder / "airborne",) and site.ground == () and site.reference.dsm == folder / "dsm.tif"
     assert site_of(site) is site
     with pytest.raises(skymoor.InputError, match="already names the data: leave out --dsm"):
         site_of(folder / "site.toml", dsm=folder / "dsm.tif")

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from skymoor.registration import register as register_matches
     from skymoor.results.read import Result, read
     from skymoor.results.report.plots import plot_cameras, plot_residuals, plot_stages
+    from skymoor.sources.fetch import fetch_reference
 
 __version__ = "0.1.0"
 
@@ -30,6 +31,7 @@ _HOMES = {
     "RasterMatch": "api",
     "Result": "results.read",
     "SkymoorError": "errors",
+    "fetch_reference": "sources.fetch",
     "level_component": "api",
     "lift": "registration.lift",
     "match_rasters": "api",
@@ -50,6 +52,7 @@ __all__ = [
     "Result",
     "SkymoorError",
     "__version__",
+    "fetch_reference",
     "level_component",
     "lift",
     "match_rasters",

@@ -6,9 +6,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from os import PathLike
+from functools import cache, partial
+from os import PathLike, fspath
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,13 +20,17 @@ from skymoor.match import CyclicOptions, DenseMatcher, SearchOptions, Structural
 from skymoor.match.decoys import decoy_scores
 from skymoor.match.search import search_hypotheses
 from skymoor.orient import estimate_gravity, level_from_gravity
+from skymoor.pipeline.addressed import with_files
 from skymoor.pipeline.airborne import register_airborne
 from skymoor.pipeline.estimate import Step, estimate_run
+from skymoor.pipeline.feature_index import checked_index, reference_features
 from skymoor.pipeline.ground import register_ground_sets, register_ground_sets_on_map
 from skymoor.pipeline.job import Job
 from skymoor.pipeline.log import logged
 from skymoor.pipeline.option_parser import with_options
 from skymoor.pipeline.options import Options, check_engines
+from skymoor.pipeline.photo_sets import PhotoSet, find_sets, notes_of, require_distinct, sizes_of
+from skymoor.pipeline.prior import SearchPrior
 from skymoor.pipeline.provenance import provenance
 from skymoor.pipeline.site import ReferenceFiles, Site, load_site, site_from_arguments
 from skymoor.reference.raster import raster_files
@@ -34,7 +39,7 @@ from skymoor.registration.significance import false_alarm_probability
 from skymoor.results.read import Result
 from skymoor.results.report.write import write_report
 from skymoor.results.write import SetResult, write_products
-from skymoor.store import PRODUCTS, Store, check_photos, has_metadata, name_prefix
+from skymoor.store import PRODUCTS, Store, has_metadata
 from skymoor.types import Array, Component, Matches2D, Progress, Raster, no_progress
 
 Where = str | PathLike[str]
@@ -53,13 +58,18 @@ def register(
     site: Where | Site | None = None,
     *,
     out: Where,
-    airborne: Where | None = None,
+    airborne: Where | Sequence[Where] | None = None,
     ground: Where | Sequence[Where] = (),
     ortho: Where | None = None,
     dsm: Where | float | None = None,
     vertical_datum: str | None = None,
     ce90: float | None = None,
     le90: float | None = None,
+    accuracy: str | None = None,
+    area: Sequence[float] | None = None,
+    near: Sequence[float] | None = None,
+    heading: str | float | None = None,
+    height: float | None = None,
     options: Mapping[str, object] | None = None,
     seed: int = 0,
     progress: StageProgress = ignore,
@@ -72,14 +82,21 @@ def register(
     Args:
         site: site.toml, or one that was loaded; or name the data by `airborne`, `ortho` and `dsm`.
         out: folder for the results.
-        airborne: folder of airborne photos.
-        ground: a folder of ground photos, or several.
-        ortho: orthophoto, any CRS that GDAL reads.
+        airborne: folder of airborne photos, or a video; several are one set. Sub-folders count.
+        ground: a folder of ground photos, or a video; each of several is a set of its own.
+        ortho: orthophoto, any CRS that GDAL reads; or its address (https://, s3://, STAC, tiles): the part in `area` or
+            `near` is then fetched once, into the folder `out`.
         dsm: its surface model, in any unit that the file states; or one height of the ground in metres. Without it
             models are placed on the map, but not in height.
         vertical_datum: what these heights refer to: "ellipsoid", or an EPSG code such as "EPSG:3855".
         ce90: circular error of the reference, 90 percent, metres.
         le90: linear (vertical) error of the reference, 90 percent, metres; not needed without heights.
+        accuracy: "unknown" in place of the two: what is registered then has an accuracy relative to the reference only.
+        area: where to search: west, south, east and north in degrees.
+        near: the same as latitude, longitude and a radius in metres.
+        heading: compass direction in degrees, right within 20, in which the first photo looks, or its upper edge if it
+            looks straight down; of another photo as "PHOTO=DEGREES".
+        height: flying height above the ground in metres, right within a quarter.
         options: by dotted names or nested, such as {"match.max_height_m": 150}; they overrule those of the site.
         seed: makes a run repeatable.
         progress: called with the name of a stage, steps done and in all, and now and then a line: progress("search",
@@ -93,25 +110,28 @@ def register(
         BackendUnavailable: an optional engine was chosen that is not installed, or whose weights are not here.
     """
     reference: dict[str, Any] = {"ortho": ortho, "dsm": dsm, "vertical_datum": vertical_datum}
-    loaded = site_of(site, airborne=airborne, ground=ground, **reference, ce90=ce90, le90=le90)
-    chosen = with_options(Options(), {**loaded.options, **(options or {})})
+    loaded = site_of(site, airborne=airborne, ground=ground, **reference, ce90=ce90, le90=le90, accuracy=accuracy)
+    loaded = loaded.bounded(SearchPrior.of(area, near, heading, height))
+    chosen = with_options(Options(), {**loaded.options, **loaded.prior.options(), **(options or {})})
     weights = check_engines(chosen, ground=bool(loaded.ground))
     _require_run(loaded, Path(out), seed)
+    sets = find_sets(loaded)
     with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
-        jobs = _jobs(loaded, chosen, store, seed, progress, note)
-        if loaded.airborne is None:
+        loaded = with_files(loaded, store.root, partial(_track, progress), note)
+        jobs = _jobs(loaded, sets, chosen, store, seed, progress, note)
+        if not loaded.airborne:
             results = register_ground_sets_on_map(jobs)
         else:
             results = [register_airborne(jobs[0])]
             results += register_ground_sets(jobs[1:], results[0], jobs[0].photos)
-        folders = _folders(loaded)
-        sets = [
-            SetResult(job.name, at, job.photos.names, one) for job, at, one in zip(jobs, folders, results, strict=True)
+        found = [
+            SetResult(one.name, one.sources, job.photos.names, result, one.files.notes)
+            for one, job, result in zip(sets, jobs, results, strict=True)
         ]
         rasters = (loaded.reference.ortho, loaded.reference.dsm)
         made_from = provenance(rasters, {job.name: job.photos for job in jobs}, weights, store)
         products = jobs[0].track("products")
-        write_products(sets, loaded, jobs[0].reference, chosen, seed, made_from, store, progress=products)
+        write_products(found, loaded, jobs[0].reference, chosen, seed, made_from, store, progress=products)
         result = Result.read(Path(out))
         write_report(result, store)
     return result
@@ -130,15 +150,24 @@ def plan(
 
     Arguments and errors are those of `register`.
     """
-    chosen = with_options(Options(), {**site.options, **options})
+    chosen = with_options(Options(), {**site.options, **site.prior.options(), **options})
     check_engines(chosen, ground=bool(site.ground))
     _require_run(site, Path(out), seed)
-    sizes = [check_photos(folder, _track(progress, folder.name)) for folder in _folders(site)]
-    airborne, ground = ((), sizes) if site.airborne is None else (sizes[0], sizes[1:])
-    files = site.reference
-    reference = read_reference(
-        files.ortho, files.dsm, files.vertical_datum, files.covariance, progress=_track(progress, "reference")
-    )
+    sets = find_sets(site)
+    for text in notes_of(sets):
+        note(text)
+    sizes = [sizes_of(one, chosen.video, partial(_track, progress)) for one in sets]
+    airborne, ground = (sizes[0], sizes[1:]) if site.airborne else ((), sizes)
+    with TemporaryDirectory() as scratch:
+        files = with_files(site, Path(scratch), partial(_track, progress), note).reference
+        reference = read_reference(
+            files.ortho,
+            files.dsm,
+            files.vertical_datum,
+            files.covariance,
+            area=site.prior.area,
+            progress=_track(progress, "reference"),
+        )
     for text in reference.notes:
         note(text)
     return estimate_run(airborne, ground, reference.rgb[..., 0].size, chosen)
@@ -216,29 +245,33 @@ def level_component(component: Component, *, seed: int = 0) -> Component:
 def site_of(
     site: Where | Site | None = None,
     *,
-    airborne: Where | None = None,
+    airborne: Where | Sequence[Where] | None = None,
     ground: Where | Sequence[Where] = (),
     ortho: Where | None = None,
     dsm: Where | float | None = None,
     vertical_datum: str | None = None,
     ce90: float | None = None,
     le90: float | None = None,
+    accuracy: str | None = None,
 ) -> Site:
     """The site that these describe; see `register` for the arguments. Raises `InputError` where they clash or lack."""
     if isinstance(site, Site):
         return site
-    folders = tuple(Path(one) for one in ([ground] if isinstance(ground, str | PathLike) else ground))
-    given = {"airborne": airborne, "ortho": ortho, "dsm": dsm, "ground": folders or None}
+    photos, folders = _paths(airborne or ()), _paths(ground)
+    given = {"airborne": photos or None, "ortho": ortho, "dsm": dsm, "ground": folders or None}
     if site is not None:
         clash = next((name for name, value in given.items() if value is not None), None)
         if clash is not None:
             raise InputError(f"{site} already names the data: leave out --{clash}")
-        return load_site(Path(site), vertical_datum=vertical_datum, ce90=ce90, le90=le90)
+        return load_site(Path(site), vertical_datum=vertical_datum, ce90=ce90, le90=le90, accuracy=accuracy)
     if ortho is None:
-        raise InputError("name a site.toml, or give --airborne, --ortho and, where there is one, --dsm")
-    photos = None if airborne is None else Path(airborne)
-    heights = None if dsm is None else float(dsm) if isinstance(dsm, int | float) else Path(dsm)
-    return site_from_arguments(photos, folders, Path(ortho), heights, vertical_datum, ce90, le90)
+        raise InputError("name a site.toml, or give --airborne or --ground, --ortho and, where there is one, --dsm")
+    heights = None if dsm is None else float(dsm) if isinstance(dsm, int | float) else fspath(dsm)
+    return site_from_arguments(photos, folders, fspath(ortho), heights, vertical_datum, ce90, le90, accuracy)
+
+
+def _paths(given: Where | Sequence[Where]) -> tuple[Path, ...]:
+    return tuple(Path(one) for one in ([given] if isinstance(given, str | PathLike) else given))
 
 
 def _rasters(files: ReferenceFiles) -> list[Path]:
@@ -246,18 +279,20 @@ def _rasters(files: ReferenceFiles) -> list[Path]:
     return [path for path in (files.ortho, files.dsm) if isinstance(path, Path)]
 
 
-def _folders(site: Site) -> list[Path]:
-    """Of all sets of photos, the airborne one first."""
-    return [folder for folder in (site.airborne, *site.ground) if folder is not None]
-
-
 def _jobs(
-    site: Site, options: Options, store: Store, seed: int, progress: StageProgress, note: Callable[[str], None]
+    site: Site,
+    sets: Sequence[PhotoSet],
+    options: Options,
+    store: Store,
+    seed: int,
+    progress: StageProgress,
+    note: Callable[[str], None],
 ) -> list[Job]:
     """One job for each set of photos, all with the same reference."""
     track, jobs = partial(_track, progress), []
-    first = _folders(site)[0]
-    count = has_metadata(first)
+    for text in notes_of(sets):
+        note(text)
+    count = has_metadata(sets[0].files.photos)
     if count:
         note(f"{count} photos carry EXIF or XMP metadata: it is ignored, nothing but pixels is used")
     files = site.reference
@@ -268,19 +303,27 @@ def _jobs(
         files.dsm,
         files.vertical_datum,
         files.covariance,
+        area=site.prior.area,
         progress=track("reference"),
         depends_on=(raster_files(*_rasters(files)), installed_grids()),
     )
     for text in reference.notes:
         note(text)
         LOG.info("reference: %s", text)
-    if site.airborne is not None:
-        photos = store.photos("photos", site.airborne, site.root, track("photos"))
-        jobs.append(Job(photos, reference, options, store, seed, track))
-    for k, folder in enumerate(site.ground):
-        name = f"ground{k}"
-        photos = store.photos(f"{name}.photos", folder, site.root, track(f"{name}.photos"))
-        jobs.append(Job(photos, reference, options, store, seed, track, name))
+    index, why_not = checked_index(files.ortho, store.files.sha256(files.ortho))
+    if why_not:
+        note(why_not)
+    features = cache(lambda: store.stage("reference.features", reference_features, reference, files.ortho, index))
+    known = partial(Job, files=(files.ortho, files.dsm, files.vertical_datum), heading=site.prior.heading)
+    for one in sets:
+        stage = "photos" if one.name == "airborne" else f"{one.name}.photos"
+        photos = store.photos(stage, one.files, options.video, track(stage))
+        frames = len(photos) - len(one.files.photos)
+        if frames:
+            names = ", ".join(video.name for video in one.files.videos)
+            note(f"{one.name}: {frames} frames of {names} are taken for photos")
+        job = partial(known, features=features) if one.name == "airborne" else Job
+        jobs.append(job(photos, reference, options, store, seed, track, one.name))
     return jobs
 
 
@@ -297,14 +340,10 @@ def _require_run(site: Site, out: Path, seed: int) -> None:
     """What would go wrong later, or would harm the user's own files."""
     if not 0 <= seed <= LARGEST_SEED:
         raise InputError(f"--seed {seed}: give a whole number from 0 to {LARGEST_SEED}")
-    folders, where = _folders(site), out.resolve()
-    for path in (*_rasters(site.reference), *folders):
+    sources, where = [source for _, there in site.sets for source in there], out.resolve()
+    rasters = [] if site.addressed else _rasters(site.reference)
+    for path in (*rasters, *sources):
         inside = path.resolve()
         if inside == where or (inside.is_relative_to(where) and inside.relative_to(where).parts[0] in PRODUCTS):
             raise InputError(f"{path}: lies where the results would be written; give another folder with --out")
-    for k, folder in enumerate(folders):
-        # Their photos would have the same names, and their cameras could not be told apart.
-        prefix = name_prefix(folder, site.root)
-        twin = next((other for other in folders[:k] if name_prefix(other, site.root) == prefix), None)
-        if twin is not None:
-            raise InputError(f"{folder}: is named twice, or as {twin} is; name each folder of photos once, differently")
+    require_distinct(site)

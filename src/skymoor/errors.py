@@ -1,13 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Named failures. Everything that skymoor raises on purpose is a `SkymoorError`."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+
 
 class SkymoorError(Exception):
     """Base of all errors that skymoor raises on purpose."""
 
 
 class InputError(SkymoorError):
-    """The user's data or options are wrong: the message names the file and the remedy (exit status 2)."""
+    """The user's data or options are wrong: the message names the file and the remedy (exit status 2).
+
+    `details` are further lines, such as a table to choose from.
+    """
+
+    def __init__(self, message: object = "", details: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.details = tuple(details)
 
 
 class TooFewMatches(SkymoorError):

@@ -284,6 +284,9 @@ class Matches3D:
         return cls(xyz_level, np.concatenate([none, *(part.xyz_enu for part in parts)]), pixels)
 
 
+COARSER = 1.4  # times the orthophoto's pixel, from which on detail is said to be lost
+
+
 @dataclass(frozen=True, eq=False)
 class Reference:
     """Orthophoto and DSM resampled to one north-up ENU grid.
@@ -303,6 +306,28 @@ class Reference:
     dsm_pixel_m: float
     crs: str = "EPSG:4326"  # of the orthophoto, for products
     notes: tuple[str, ...] = ()
+    finest_m: float = 0.0  # pixel of the orthophoto itself, where the grid is coarser
+
+    @property
+    def accuracy_known(self) -> bool:
+        """Whether somebody states how accurate it is; if not, `covariance` is NaN."""
+        return not np.isnan(self.covariance).any()
+
+    @property
+    def detail_lost(self) -> bool:
+        """Whether the grid is much coarser than the orthophoto, because of its area."""
+        return 0 < self.finest_m < self.grid.pixel_m / COARSER
+
+    def part(self, bounds_m: Sequence[float]) -> Reference:
+        """What lies between west, south, east and north in metres, at least a pixel, on whole pixels."""
+        (left, bottom), (right, top) = self.grid.px_from_enu(np.reshape(bounds_m, (2, 2)))
+        rows, columns = self.grid.shape
+        u, v = int(np.clip(left, 0, columns - 1)), int(np.clip(top, 0, rows - 1))
+        window = np.s_[v : int(np.clip(np.ceil(bottom), v + 1, rows)), u : int(np.clip(np.ceil(right), u + 1, columns))]
+        east, north = self.grid.enu_from_px([float(u), float(v)]).tolist()
+        mask = self.mask[window]
+        grid = Grid(east, north, self.grid.pixel_m, (mask.shape[0], mask.shape[1]))
+        return replace(self, grid=grid, rgb=self.rgb[window], mask=mask, height=self.height[window], notes=())
 
     @cached_property
     def has_heights(self) -> bool:

@@ -121,7 +121,7 @@ def test_answers_for_scripts_are_json_and_nothing_else(tmp_path: Path, capsys: p
     told = capsys.readouterr()
     answer = json.loads(told.out)
     assert [item["status"] for item in answer["sets"]] == ["NOT_REGISTERED"]
-    assert "no two photos" in told.err
+    assert "no three photos" in told.err
     assert main(["weights", "list", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
     assert {"roma", "aliked"} <= {one["name"] for one in listed["weights"]}

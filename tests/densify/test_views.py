@@ -11,7 +11,7 @@ import numpy as np
 from skymoor.densify import empty_depth_map
 from skymoor.densify.views import reduced, undistorted
 from skymoor.geometry import Intrinsics, Similarity
-from skymoor.store import Store
+from skymoor.store import Store, find_photos
 from skymoor.types import Camera
 
 LENS = Intrinsics(160, 120, 130.0, 130.0, 80.0, 60.0, (-0.2, 0.05, 0.0, 0.0))
@@ -53,7 +53,7 @@ def test_a_photo_without_depth_is_as_large_as_one_with(tmp_path: Path) -> None:
     for name in "abc":
         cv2.imwrite(str(folder / f"{name}.png"), dotted())
     with Store.open(tmp_path / "run") as store:
-        photos = store.photos("photos", folder, folder)
+        photos = store.photos("photos", find_photos([folder], folder))
         found = empty_depth_map(CAMERA, photos, 80)
     assert found.depth.shape == (60, 80) == found.rgb.shape[:2]
     assert np.isnan(found.depth).all()

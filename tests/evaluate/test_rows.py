@@ -140,13 +140,35 @@ def test_without_heights_the_plan_is_evaluated_alone() -> None:
         assert value is None
 
 
+def test_a_truth_of_part_of_the_photos_is_evaluated_where_it_is_known() -> None:
+    truth = truth_positions(9)
+    wrong = truth + [0.0, 3.0, 0.0]
+    wrong[6:] += 50.0  # of which nothing is known
+    (row,) = evaluate(estimates(wrong), truths(truth)[:6], FRAME, COVARIANCE, {})
+    (alone,) = evaluate(estimates(wrong)[:6], truths(truth)[:6], FRAME, COVARIANCE, {})
+    assert (row.n_cameras, row.n_truth, row.n_without_truth) == (9, 6, 3)
+    assert row == replace(alone, n_cameras=9, n_without_truth=3)
+    assert row.mean_absolute_m == pytest.approx(3.0, abs=1e-6)
+    in_plan = [replace(one, height=None, le90=None) for one in estimates(wrong)]
+    (row,) = evaluate(in_plan, truths(truth)[:6], FRAME, COVARIANCE, {})
+    assert (row.n_cameras, row.n_without_truth) == (9, 3) and row.mean_horizontal_m == pytest.approx(3.0, abs=1e-6)
+
+
+def test_a_component_without_truth_beside_one_with_has_a_row_without_measures() -> None:
+    truth = truth_positions(6)
+    other = [replace(one, component=1) for one in estimates(truth)[3:]]
+    first, second = evaluate([*estimates(truth)[:3], *other], truths(truth)[:3], FRAME, COVARIANCE, {})
+    assert first.mean_absolute_m is not None and first.n_without_truth == 0
+    assert second == EvaluationRow("airborne", 1, "REGISTERED", n_cameras=3, n_truth=0, n_without_truth=3)
+
+
 def test_mistakes_in_the_lists() -> None:
     truth = truth_positions(6)
     found, known = estimates(truth), truths(truth)
-    with pytest.raises(InputError, match=r"lacks 5 of 6 images of airborne component 0: air/1\.jpg.*, \.\.\."):
-        evaluate(found, known[:1], FRAME, COVARIANCE, {})
-    with pytest.raises(InputError, match=r"lacks 6 of 6"):
+    with pytest.raises(InputError, match=r"none of the 6 registered images: air/0\.jpg.*, \.\.\."):
         evaluate(found, [], FRAME, COVARIANCE, {})
+    with pytest.raises(InputError, match=r"name them relative to the site's folder"):
+        evaluate(found, [replace(one, image=one.image[4:]) for one in known], FRAME, COVARIANCE, {})
     with pytest.raises(InputError, match=r"air/0\.jpg more than once"):
         evaluate(found, [*known, known[0]], FRAME, COVARIANCE, {})
     with pytest.raises(InputError, match=r"air/2\.jpg more than once"):

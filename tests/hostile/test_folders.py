@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
 from skymoor.cli.main import main
-from skymoor.store import Store, _photos, _run
+from skymoor.store import PhotoFile, Store, _run, check_photos
 from support.tiny_site import SITE, Case, assert_refused, content, make_site, run
 
 
@@ -134,8 +134,10 @@ def test_commands_on_paths_that_are_none(
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("?")
     assert main(words) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1 and told in lines[0]
+    first, *more = capsys.readouterr().err.splitlines()
+    assert told in first
+    assert all(line.startswith(("usual values", "  ")) for line in more)  # a table to choose the accuracy from
+    assert bool(more) == (told == "--ce90")
     assert content(tmp_path) == {"file": b"?"}
 
 
@@ -161,9 +163,9 @@ def test_the_folder_of_a_former_run_is_used_again(tmp_path: Path) -> None:
     assert (site / "out/cameras.csv").exists()
 
 
-def check_and_lose(folder: Path, progress: object) -> object:
-    sizes = _photos.check_photos(folder)
-    (folder / "2.png").unlink()
+def check_and_lose(files: Sequence[PhotoFile], progress: object) -> object:
+    sizes = check_photos(files)
+    files[2].path.unlink()
     return sizes
 
 
@@ -172,7 +174,7 @@ def test_photos_that_vanish_between_two_looks(tmp_path: Path, capsys: pytest.Cap
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_run, "check_photos", check_and_lose)
         assert run(site) == 2
-    assert "came or went" in capsys.readouterr().err
+    assert "2.png: cannot be read" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("spoilt", ["summary.json", "cameras.csv"])

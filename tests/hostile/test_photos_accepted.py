@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pillow_heif
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
@@ -26,6 +27,7 @@ def scene(width: int = WIDTH_PX, height: int = HEIGHT_PX) -> NDArray[np.uint8]:
 
 
 GREY = np.repeat(np.asarray(Image.fromarray(scene()).convert("L"))[..., None], 3, axis=2)
+TURNED = np.rot90(scene(), -1)
 Write = Callable[[Path], object]
 
 
@@ -58,6 +60,27 @@ def two_pictures(folder: Path) -> None:
     )
 
 
+def named_mpo(folder: Path) -> None:
+    two_pictures(folder)
+    (folder / "x.jpg").rename(folder / "x.mpo")
+
+
+def heic(name: str, **options: object) -> Write:
+    def write(folder: Path) -> None:
+        pillow_heif.from_pillow(Image.fromarray(scene())).save(folder / name, quality=95, **options)
+
+    return write
+
+
+def heic_with_orientation(folder: Path) -> None:
+    """As phones write it: EXIF says how to turn, and so does the structure of the file, which the decoder obeys."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    image = pillow_heif.from_pillow(Image.fromarray(scene()))
+    image.info["exif"] = exif.tobytes()
+    image.save(folder / "x.heic", quality=95)
+
+
 def pages(folder: Path) -> None:
     Image.fromarray(scene()).save(folder / "x.tif", save_all=True, append_images=[Image.fromarray(scene(20, 20))])
 
@@ -86,6 +109,11 @@ CASES: list[tuple[str, Write, str, NDArray[np.uint8]]] = [
     *((f"exif orientation {k}", turned(k), "x.jpg", scene()) for k in (2, 3, 6, 8)),
     ("exif orientation of nonsense", turned(99), "x.jpg", scene()),
     ("two pictures in one jpeg", two_pictures, "x.jpg", scene()),
+    ("two pictures named mpo", named_mpo, "x.mpo", scene()),
+    ("heic", heic("x.HEIC"), "x.HEIC", scene()),
+    ("heic named jpg", heic("x.jpg", format="HEIF"), "x.jpg", scene()),
+    ("heic that is turned", heic_with_orientation, "x.heic", TURNED),
+    ("avif", saved("x.avif", quality=95), "x.avif", scene()),
     ("pages", pages, "x.tif", scene()),
     ("link", through_a_link, "x.jpg", scene()),
     ("umlauts, spaces, commas", saved('Höhe 1, "süd".jpg'), 'Höhe 1, "süd".jpg', scene()),

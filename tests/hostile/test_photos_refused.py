@@ -12,12 +12,15 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pillow_heif
 import pytest
 from PIL import Image
 
 from skymoor.errors import InputError
-from skymoor.store import check_photos
+from skymoor.store import open_photos
 from support.tiny_site import Case, assert_refused, make_site, picture, write_raster
+
+pillow_heif.register_heif_opener()
 
 
 def bad(name: str, content: bytes) -> Callable[[Path], object]:
@@ -125,6 +128,11 @@ CASES = [
     Case("a strip", bad("x.png", encoded("PNG", picture(0, 2000, 40))), ("x.png", "2000 by 40", "20 times")),
     Case("floating-point pixels", bad("x.tif", encoded("TIFF", np.ones((48, 64), np.float32))), ("x.tif", "floating")),
     Case("five bands", five_bands, ("x.tif", "is not an image", "convert")),
+    Case(
+        "dng named tif", bad("x.tif", encoded("TIFF", tiffinfo={50706: b"\1\4\0\0"})), ("x.tif", "raw photo", "develop")
+    ),
+    Case("half of a heic", bad("x.heic", encoded("HEIF")[:-600]), ("x.heic", "copy it again")),
+    Case("text named heic", bad("x.heic", b"hello"), ("x.heic", "is not an image")),
     Case("link to nothing", dangling, ("link.jpg", "link to nothing")),
     Case("link to itself", endless_link, ("link.jpg", "link to nothing")),
     Case("name of two lines", bad("a\nb.png", encoded("PNG")), (r"a\nb.png", "rename it")),
@@ -168,7 +176,7 @@ def test_a_photo_that_the_disk_refuses(
     assert_refused(site, case, lambda: capsys.readouterr().err)
 
 
-@pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF", "BMP", "WEBP"])
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF", "BMP", "WEBP", "HEIF", "AVIF"])
 def test_damage_anywhere_is_decoded_or_refused_by_name(kind: str, tmp_path: Path) -> None:
     rng, site = np.random.default_rng(1), make_site(tmp_path)
     whole, refused = encoded(kind), 0
@@ -179,7 +187,7 @@ def test_damage_anywhere_is_decoded_or_refused_by_name(kind: str, tmp_path: Path
             spoilt[place] = rng.integers(256)
         (site / "airborne/x.png").write_bytes(spoilt)
         try:
-            sizes = check_photos(site / "airborne")
+            sizes = open_photos(site / "airborne", site).sizes
         except InputError as error:
             refused += 1
             assert "x.png" in str(error)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 
@@ -11,33 +10,9 @@ from skymoor.match.features import TILE_PX, features_of, nearest
 from skymoor.match.propose import propose
 from skymoor.match.search import DECISIVE, ReferencePyramid, SearchOptions, search_in
 from skymoor.types import Raster, no_progress
+from support.textured import cut, textured
 
-SHAPE = (360, 420)
 LIMITS = {"min_scale": 0.3, "max_scale": 1.5}
-
-
-def textured(shape: tuple[int, int], seed: int) -> Raster:
-    """Patches and lines of random greys: something to tell places by."""
-    rng = np.random.default_rng(seed)
-    grey = np.full(shape, 110, np.uint8)
-    for _ in range(shape[0] * shape[1] // 700):
-        u, v = (int(x) for x in rng.integers(0, shape[::-1]))
-        size, angle = rng.integers(5, 26, 2), float(rng.uniform(0, 180))
-        box = cv2.boxPoints(((float(u), float(v)), (float(size[0]), float(size[1])), angle))
-        cv2.fillPoly(grey, [np.round(box).astype(np.int32)], int(rng.integers(30, 225)))
-    return Raster(np.repeat(grey[..., None], 3, axis=2), np.ones(shape, bool))
-
-
-def cut(reference: Raster, scale: float, azimuth_deg: float, centre: tuple[float, float]) -> Raster:
-    """The image whose pixels are at `scale` and an azimuth about a place of the reference, in another light."""
-    c, s = scale * np.cos(np.radians(azimuth_deg)), scale * np.sin(np.radians(azimuth_deg))
-    linear = np.array([[c, -s], [s, c]])
-    offset = np.array(centre) - linear @ (np.array(SHAPE[::-1]) / 2)
-    matrix = np.column_stack([linear, offset + linear @ [0.5, 0.5] - 0.5])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    rgb = cv2.warpAffine(reference.rgb, matrix, SHAPE[::-1], flags=flags)
-    noise = np.random.default_rng(3).normal(scale=6, size=SHAPE)[..., None]
-    return Raster(np.clip(0.6 * rgb + 40 + noise, 0, 255).astype(np.uint8), np.ones(SHAPE, bool))
 
 
 @pytest.fixture(scope="module")

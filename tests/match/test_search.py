@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skymoor.match import ImageHypothesis, search_hypotheses
-from skymoor.match.search import distinct, equivalent
+from skymoor.match.hypothesis import distinct, equivalent
 from skymoor.types import Raster
 from support.pictures import GRID, Overhead, another_day, seen_through, without_heights
 

@@ -9,6 +9,7 @@ import pytest
 from skymoor.errors import InputError
 from skymoor.geo import UNKNOWN_HEIGHT_SIGMA_M, ce90_m, le90_m
 from skymoor.pipeline.site import load_site, site_from_arguments
+from support.map_scene import write_dsm
 
 GOOD = """
 name = "office park"
@@ -58,9 +59,27 @@ def test_reads_everything_relative_to_its_folder(site: Path) -> None:
     assert loaded.reference.dsm == root / "reference/dsm.tif"
     assert loaded.reference.vertical_datum == "EPSG:3855"
     np.testing.assert_array_equal(loaded.reference.covariance, [[1.7, 0.1, 0], [0.1, 1.6, 0], [0, 0, 5.4]])
-    assert loaded.airborne == root / "airborne"
-    assert loaded.ground == (root / "walk 1", root / "walk 2")
+    assert loaded.airborne == (root / "airborne",)
+    assert loaded.ground == ((root / "walk 1",), (root / "walk 2",))
     assert loaded.options == {"match.cycle_px": 3, "model": {"pixel_m": 0.2}}
+
+
+def test_a_set_may_have_several_folders_and_videos(site: Path) -> None:
+    (site.parent / "flight.mp4").touch()
+    change(site, 'images = "airborne"', 'images = ["airborne", "flight.mp4"]')
+    change(site, 'images = "walk 1"', 'images = ["walk 1"]')
+    loaded, root = load_site(site), site.parent.resolve()
+    assert loaded.airborne == (root / "airborne", root / "flight.mp4")
+    assert loaded.sets == [
+        ("airborne", loaded.airborne),
+        ("ground0", (root / "walk 1",)),
+        ("ground1", (root / "walk 2",)),
+    ]
+
+
+def test_ground_photos_alone_are_a_site(site: Path) -> None:
+    change(site, '[airborne]\nimages = "airborne"', "")
+    assert [name for name, _ in load_site(site).sets] == ["ground0", "ground1"]
 
 
 def test_ce90_le90_become_the_covariance_with_these_figures(site: Path) -> None:
@@ -123,6 +142,9 @@ def test_datum_and_name_may_be_missing(site: Path) -> None:
         ('"reference/dsm.tif"', "[3]", r"reference\.dsm = \[3\] must be a file in quotes, or a height in metres"),
         ('"reference/dsm.tif"', "inf", r"reference\.dsm = inf must be a height in metres"),
         ('images = "airborne"', 'images = "air"', r"airborne\.images: there is no folder"),
+        ('images = "airborne"', "images = []", r"airborne\.images = \[\] must be text in quotes"),
+        ('images = "airborne"', 'images = ["airborne", 3]', r"airborne\.images = 3 must be text in quotes"),
+        ('images = "airborne"', 'images = ["airborne", "b"]', r"airborne\.images: there is no folder .*b, nor video"),
         ('images = "airborne"', "", r"images is missing in \[airborne\]"),
         ("[0.1, 1.6, 0]", "[0.2, 1.6, 0]", "symmetric"),
         ("[0.1, 1.6, 0]", "[0.1, -1.6, 0]", "positive"),
@@ -167,25 +189,60 @@ def test_no_file_folder_and_not_text(tmp_path: Path) -> None:
 def test_site_from_arguments(site: Path) -> None:
     root = site.parent
     ortho, dsm = root / "reference/ortho.tif", root / "reference/dsm.tif"
-    made = site_from_arguments(root / "airborne", [root / "walk 1"], ortho, dsm, "ellipsoid", 2.0, 3.0)
+    made = site_from_arguments([root / "airborne"], [root / "walk 1"], ortho, dsm, "ellipsoid", 2.0, 3.0)
     assert made.root == root.resolve()
-    assert made.airborne == root / "airborne"
-    assert made.ground == (root / "walk 1",)
+    assert made.airborne == (root / "airborne",)
+    assert made.ground == ((root / "walk 1",),)
     assert le90_m(made.reference.covariance) == pytest.approx(3.0)
-    assert site_from_arguments(root / "airborne", [], ortho, 120.0, "ellipsoid", 2.0, 3.0).reference.dsm == 120.0
-    assert site_from_arguments(root / "airborne", [], ortho, None, None, 2.0, None).reference.dsm is None
+    assert site_from_arguments([root / "airborne"], [], ortho, 120.0, "ellipsoid", 2.0, 3.0).reference.dsm == 120.0
+    assert site_from_arguments([root / "airborne"], [], ortho, None, None, 2.0, None).reference.dsm is None
+
+
+def test_several_airborne_folders_are_one_set_and_several_ground_folders_are_not(site: Path) -> None:
+    walks, ortho = [site.parent / "walk 1", site.parent / "walk 2"], site.parent / "reference/ortho.tif"
+    assert site_from_arguments(walks, [], ortho, None, None, 2.0, None).sets == [("airborne", tuple(walks))]
+    assert site_from_arguments([], walks, ortho, None, None, 2.0, None).sets == [
+        ("ground0", (walks[0],)),
+        ("ground1", (walks[1],)),
+    ]
 
 
 def test_site_from_arguments_mistakes(site: Path) -> None:
     root = site.parent
     ortho, dsm = root / "reference/ortho.tif", root / "reference/dsm.tif"
     with pytest.raises(InputError, match=r"--dsm .*none\.tif"):
-        site_from_arguments(root / "airborne", [], ortho, root / "none.tif", None, 2.0, 3.0)
+        site_from_arguments([root / "airborne"], [], ortho, root / "none.tif", None, 2.0, 3.0)
     with pytest.raises(InputError, match="--dsm nan: give a file, or the height"):
-        site_from_arguments(root / "airborne", [], ortho, float("nan"), None, 2.0, 3.0)
+        site_from_arguments([root / "airborne"], [], ortho, float("nan"), None, 2.0, 3.0)
     with pytest.raises(InputError, match="no such folder"):
-        site_from_arguments(root / "air", [], ortho, dsm, None, 2.0, 3.0)
+        site_from_arguments([root / "air"], [], ortho, dsm, None, 2.0, 3.0)
     with pytest.raises(InputError, match="no images"):
-        site_from_arguments(None, [], ortho, dsm, None, 2.0, 3.0)
+        site_from_arguments([], [], ortho, dsm, None, 2.0, 3.0)
     with pytest.raises(InputError, match="--ce90"):
-        site_from_arguments(root / "airborne", [], ortho, dsm, None, None, None)
+        site_from_arguments([root / "airborne"], [], ortho, dsm, None, None, None)
+
+
+def test_an_unknown_accuracy_is_a_statement(site: Path) -> None:
+    change(site, STATED, 'accuracy = "unknown"')
+    assert np.isnan(load_site(site).reference.covariance).all()
+    assert ce90_m(load_site(site, ce90=5.0, le90=6.0).reference.covariance) == pytest.approx(5.0)  # overruled
+    change(site, 'accuracy = "unknown"', 'accuracy = "unknown"\nce90 = 3')
+    with pytest.raises(InputError, match="accuracy and ce90/le90; keep one"):
+        load_site(site)
+    assert np.isnan(load_site(site, accuracy="unknown").reference.covariance).all()
+    change(site, 'accuracy = "unknown"\nce90 = 3', 'accuracy = "good"')
+    with pytest.raises(InputError, match='the only word for it is "unknown"'):
+        load_site(site)
+
+
+def test_all_that_is_missing_is_told_at_once_with_usual_values(site: Path) -> None:
+    change(site, STATED, "")
+    with pytest.raises(InputError, match=r"ce90 and le90 missing") as error:
+        load_site(site)
+    assert any("Copernicus" in line for line in error.value.details)
+    text = site.read_text()
+    site.write_text("\n".join(line for line in text.splitlines() if not line.startswith("vertical_datum")))
+    write_dsm(site.parent / "reference")  # whose CRS says nothing of heights
+    with pytest.raises(InputError, match=r"ce90 and le90 and vertical_datum missing") as error:
+        load_site(site)
+    assert 'accuracy = "unknown"' in str(error.value) and "\n" not in str(error.value)

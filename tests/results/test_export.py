@@ -22,6 +22,7 @@ import trimesh
 from PIL import ExifTags, Image
 from plyfile import PlyData
 from pyproj import Transformer
+from scipy.spatial.transform import Rotation
 
 from skymoor.cli.main import main
 from skymoor.errors import InputError
@@ -263,7 +264,13 @@ def test_odm_reads_positions_and_control(out: Path) -> None:
     words = [line.split() for line in lines]
     assert [one[0] for one in words] == ["p0.jpg", "p1.jpg", "p2.jpg", "p3.png"]
     _assert_cameras([tuple(map(float, one[1:4])) for one in words])
-    assert words[0][4:] == ["0", "0", "0", "2.1000", "3.8000"]
+    assert words[0][7:] == ["2.1000", "3.8000"]
+    for one, camera in zip(words, cameras(), strict=False):
+        # ODM's own words: north-east-down axes turned by yaw, pitch and roll; then the camera looks down.
+        yaw_pitch_roll = Rotation.from_euler("ZYX", [float(word) for word in one[4:7]], degrees=True).as_matrix()
+        north_east_down = yaw_pitch_roll @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])  # of right, down, forward
+        enu = north_east_down[[1, 0, 2]] * [[1], [1], [-1]]
+        np.testing.assert_allclose(enu, camera.cam_from_world.rotation.T, atol=1e-5)
     head, *lines = (out / "odm" / "airborne" / "gcp_list.txt").read_text().splitlines()
     assert head == "EPSG:4326"
     named = {camera.image.rpartition("/")[2]: camera for camera in cameras()}

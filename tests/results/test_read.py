@@ -64,6 +64,28 @@ def test_what_was_written_comes_back(run: Path) -> None:
     assert list(result.scene_centres()) == [("airborne", 0)]
 
 
+def test_photos_of_sub_folders_other_folders_and_videos_are_found(run: Path, tmp_path: Path) -> None:
+    files = {
+        "air/100MEDIA/1.jpg": run / "air/100MEDIA/1.jpg",
+        "second/100MEDIA/1.jpg": tmp_path / "elsewhere/second/100MEDIA/1.jpg",
+        "air/flight.mp4/000012.jpg": run / "frames/air/flight.mp4/000012.jpg",
+    }
+    for path in files.values():
+        path.parent.mkdir(parents=True)
+        path.write_bytes(b"")
+    summary = json.loads((run / "summary.json").read_text())
+    places = {"air": run / "air", "second": tmp_path / "elsewhere/second"}
+    summary["sets"][0]["sources"] = [{"path": str(path), "name": name} for name, path in places.items()]
+    (run / "summary.json").write_text(json.dumps(summary))
+    with (run / "cameras.csv").open("a", encoding="utf-8", newline="") as file:
+        csv.DictWriter(file, CAMERA_COLUMNS).writerows(cameras_table([replace(LOST, image=name) for name in files]))
+    result = Result.read(run)
+    assert {name: result.photo(name) for name in files} == files
+    (run / "air/100MEDIA/1.jpg").unlink()
+    with pytest.raises(InputError, match=r"air/100MEDIA/1\.jpg: the photo is not where the run found it"):
+        result.photo("air/100MEDIA/1.jpg")
+
+
 def test_photos_are_found_where_the_run_read_them(run: Path) -> None:
     result = Result.read(run)
     assert result.photo("air/ä 1.jpg") == run / "air" / "ä 1.jpg"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from skymoor.errors import InputError
-from skymoor.store import Store, digest, has_metadata, open_photos
+from skymoor.store import Store, digest, find_photos, has_metadata, open_photos
 
 RGB: NDArray[np.uint8] = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
 
@@ -21,11 +21,11 @@ RGB: NDArray[np.uint8] = np.random.default_rng(0).integers(0, 256, (40, 60, 3), 
 def folder(tmp_path: Path) -> Path:
     """Three PNG photos and things that are no photos."""
     folder = tmp_path / "site" / "airborne"
-    (folder / "below").mkdir(parents=True)
+    (folder / ".thumbnails").mkdir(parents=True)
     for name in ("c.png", "a.PNG", "b.png"):
         save(folder / name)
     save(folder / ".hidden.png")
-    save(folder / "below" / "d.png")
+    save(folder / ".thumbnails" / "d.png")
     (folder / "notes.txt").write_text("x")
     return folder
 
@@ -101,8 +101,9 @@ def test_other_unusable_photos_are_named(folder: Path) -> None:
 def test_missing_empty_and_small_folders(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
         open_photos(tmp_path / "none", tmp_path)
-    with pytest.raises(InputError, match="has no images"):
-        open_photos(tmp_path, tmp_path)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="has no images, also not in sub-folders"):
+        open_photos(tmp_path / "empty", tmp_path)
     (folder / "a.PNG").unlink()
     with pytest.raises(InputError, match="has 2 images, at least 3"):
         open_photos(folder, folder)
@@ -111,7 +112,7 @@ def test_missing_empty_and_small_folders(folder: Path, tmp_path: Path) -> None:
 def test_photos_count_by_names_and_content(folder: Path, tmp_path: Path) -> None:
     def key(at: Path) -> str:
         with Store.open(tmp_path / "out") as store:
-            return digest(store.photos("photos", at, at.parent))
+            return digest(store.photos("photos", find_photos([at], at.parent)))
 
     before = key(folder)
     (folder / "notes.txt").write_text("y")
@@ -128,17 +129,21 @@ def test_photos_count_by_names_and_content(folder: Path, tmp_path: Path) -> None
 def test_check_is_not_repeated_when_resuming(folder: Path, tmp_path: Path) -> None:
     for cached in (False, True):
         with Store.open(tmp_path / "out") as store:
-            photos = store.photos("photos-air", folder, folder.parent)
+            photos = store.photos("photos-air", find_photos([folder], folder.parent))
             assert store.records[0].cached is cached
         np.testing.assert_array_equal(photos.read("airborne/a.PNG"), RGB)
     save(folder / "d.png")
     with Store.open(tmp_path / "out") as store:
-        assert len(store.photos("photos-air", folder, folder.parent)) == 4
+        assert len(store.photos("photos-air", find_photos([folder], folder.parent))) == 4
         assert not store.records[0].cached
 
 
+def metadata_in(folder: Path) -> int:
+    return has_metadata(find_photos([folder], folder).photos)
+
+
 def test_metadata_is_counted(folder: Path) -> None:
-    assert has_metadata(folder) == 0
+    assert metadata_in(folder) == 0
     position, focal, orientation = Image.Exif(), Image.Exif(), Image.Exif()
     position.get_ifd(0x8825)[1] = "N"
     focal.get_ifd(0x8769)[0x920A] = 8.8
@@ -147,4 +152,4 @@ def test_metadata_is_counted(folder: Path) -> None:
         save(folder / name, exif=exif)
     save(folder / "x.jpg", xmp=b"<x:xmpmeta/>")
     (folder / "z.jpg").write_bytes(b"not a photo")
-    assert has_metadata(folder) == 3
+    assert metadata_in(folder) == 3

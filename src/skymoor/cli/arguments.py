@@ -32,23 +32,39 @@ class Run:
     """
 
     site: Annotated[Path | None, tyro.conf.Positional] = None
-    """site.toml; or give --airborne, --ortho and, where there is one, --dsm."""
+    """site.toml; or give --airborne or --ground, --ortho and, where there is one, --dsm."""
     out: Path
     """Folder for the results; the same command again continues where it stopped."""
-    airborne: Path | None = None
-    """Folder of airborne photos."""
+    airborne: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    """Folder of airborne photos, with its sub-folders, or a video; may be repeated: all are one set."""
     ground: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
-    """Folder of ground photos; may be repeated."""
-    ortho: Path | None = None
-    """Satellite orthophoto, any CRS that GDAL reads."""
-    dsm: float | Path | None = None
-    """Its digital surface model (DSM), or one height of the ground in metres; without it heights stay unknown."""
+    """Folder of ground photos, or a video; may be repeated: each is a set of its own. Without airborne photos, ground
+    photos are registered straight to the reference."""
+    fps: float | None = None
+    """Frames per second of videos that are looked at (6): sharp ones that overlap by 70 to 90 percent are kept."""
+    ortho: str | None = None
+    """Satellite orthophoto, any CRS that GDAL reads; or its address, of which the part in --area or --near is fetched
+    once."""
+    dsm: float | str | None = None
+    """Its digital surface model (DSM) or the address of one, or one height of the ground in metres; without it heights
+    stay unknown."""
     vertical_datum: str | None = None
     """Vertical datum of these heights: "ellipsoid" or an EPSG code such as "EPSG:3855"."""
     ce90: float | None = None
     """Circular error of the reference, 90 percent, metres."""
     le90: float | None = None
     """Linear (vertical) error of the reference, 90 percent, metres; not needed without heights."""
+    accuracy: Literal["unknown"] | None = None
+    """unknown in place of --ce90 and --le90: positions are then accurate relative to the reference only."""
+    area: tuple[float, float, float, float] | None = None
+    """Search only there: west, south, east and north in degrees."""
+    near: tuple[float, float, float] | None = None
+    """Search only there: latitude, longitude and a radius in metres."""
+    heading: str | None = None
+    """Compass direction, within 20 degrees, in which the first photo looks, or its upper edge if it looks straight
+    down; of another photo as PHOTO=DEGREES."""
+    height: float | None = None
+    """Flying height above the ground in metres, within a quarter."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """An option by its dotted name, for example --set match.max_height_m=150; may be repeated."""
     require_heights: bool = False
@@ -61,6 +77,86 @@ class Run:
     """Check all input and print the steps with estimates of time and memory; write nothing."""
     json: bool = False
     """For scripts: the result as JSON on stdout, all else on stderr."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """Fetch the reference of a place: orthophoto and DSM, and the table [reference] of a site.toml.
+
+    For example:
+
+    skymoor reference --bbox 7.43 46.94 7.45 46.96 --ortho https://stac.example.org/collections/orthophoto --dsm
+    https://stac.example.org/collections/surface --pixel 0.5 --out bern
+
+    skymoor reference --bbox 7.43 46.94 7.45 46.96 --ortho "https://tiles.example.org/{z}/{x}/{y}.png" --out bern
+
+    A source is a file, the address of a raster (https://, s3://), of a STAC item, collection or search (#NAME chooses
+    the asset), of a tile service with {x}, {y} and {z}, or WMTS:ADDRESS. docs/references.md lists sources.
+    """
+
+    bbox: tuple[float, float, float, float] | None = None
+    """West, south, east and north in WGS 84 degrees; everything without it."""
+    ortho: str
+    """Source of the orthophoto."""
+    dsm: str | None = None
+    """Source of the DSM, which is cut as the orthophoto is; without it heights stay unknown."""
+    out: Path
+    """Folder for ortho.tif, dsm.tif and reference.toml."""
+    pixel: float | None = None
+    """Metres: an overview of the orthophoto whose pixel is not larger is enough; level of a tile service (0.6)."""
+    date: str | None = None
+    """Of STAC items, such as 2022 or 2021-04-01/2022-10-31; the newest counts."""
+    quiet: bool = False
+    """Plain lines in place of progress bars."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """Run many sites, each in a process of its own, on this machine or on a Dask cluster.
+
+    For example:
+
+    skymoor batch sites/* --out results --workers 4 --memory 8
+
+    skymoor batch sites/* --out /shared/results --scheduler tcp://10.0.0.1:8786
+
+    The same command again continues where it stopped. Exit status: 0 all sites are registered, 3 some are not, 2 some
+    have wrong input, 1 some failed.
+    """
+
+    sites: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """site.toml files, folders that have one, or folders of such folders."""
+    out: Path
+    """Folder for the results: one folder for each site, batch.json and batch.html."""
+    workers: int = 1
+    """Sites at a time on this machine."""
+    memory: float | None = None
+    """Most memory of one site, in gigabytes; one that needs more fails, and only it."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler whose workers see the sites and --out under the same paths; needs skymoor[dask]."""
+    only: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A site by the name of its folder; may be repeated."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """An option of all sites by its dotted name; may be repeated."""
+    seed: int = 0
+    """Makes runs repeatable."""
+    quiet: bool = False
+    """Plain lines in place of progress bars."""
+    json: bool = False
+    """For scripts: the outcomes as JSON on stdout, all else on stderr."""
+
+
+@dataclass(frozen=True)
+class Index:
+    """Prepare a large reference for fast searches: its local features are found once and kept beside it.
+
+    For example: skymoor index ortho.tif
+    """
+
+    reference: Annotated[Path, tyro.conf.Positional]
+    """The orthophoto, or a site.toml that names it."""
+    quiet: bool = False
+    """Plain lines in place of progress bars."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from skymoor.cli.arguments import (
+    Batch,
     Clean,
     Demo,
     Doctor,
@@ -13,6 +14,8 @@ from skymoor.cli.arguments import (
     Export,
     Grids,
     GridsFetch,
+    Index,
+    Reference,
     Report,
     Run,
     Simulate,
@@ -41,9 +44,12 @@ def run(command: Run) -> bool:
     from skymoor import api
     from skymoor.cli.tables import plan_table, remedies, summary_table
     from skymoor.pipeline.option_parser import parse_option
+    from skymoor.pipeline.prior import SearchPrior
     from skymoor.results.report.write import PAGE
 
     options = dict(map(parse_option, command.set))
+    if command.fps is not None:
+        options["video.fps"] = command.fps
     site = api.site_of(
         command.site,
         airborne=command.airborne,
@@ -53,7 +59,9 @@ def run(command: Run) -> bool:
         vertical_datum=command.vertical_datum,
         ce90=command.ce90,
         le90=command.le90,
+        accuracy=command.accuracy,
     )
+    site = site.bounded(SearchPrior.of(command.area, command.near, command.heading, command.height))
     with Screen(plain=command.quiet, for_scripts=command.json) as screen:
         if command.dry_run:
             steps = api.plan(
@@ -75,6 +83,37 @@ def run(command: Run) -> bool:
     return result.registered and (result.heights_confirmed or not command.require_heights)
 
 
+def batch(command: Batch) -> int:
+    """`skymoor batch`; returns the exit status, the worst of the sites."""
+    from skymoor.batch.cluster import run_on_cluster
+    from skymoor.batch.local import run_here
+    from skymoor.batch.page import write_state
+    from skymoor.batch.sites import exit_status_of, find_sites
+    from skymoor.cli.tables import outcomes_table
+    from skymoor.errors import InputError
+
+    if command.workers < 1:
+        raise InputError(f"--workers {command.workers}: give at least 1")
+    tasks = find_sites(command.sites, command.out, command.only)
+    arguments = ["--seed", str(command.seed), *(word for one in command.set for word in ("--set", one))]
+    with Screen(plain=command.quiet, for_scripts=command.json) as screen:
+        page, outcomes, track = write_state(command.out, tasks, []), [], screen.track("sites")
+        track(0, len(tasks))
+        if command.scheduler:
+            ended = run_on_cluster(command.scheduler, tasks, arguments, memory_gb=command.memory)
+        else:
+            ended = run_here(tasks, arguments, workers=command.workers, memory_gb=command.memory)
+        for outcome in ended:
+            outcomes.append(outcome)
+            write_state(command.out, tasks, outcomes)
+            screen.note(f"{outcome.name}: {outcome.verdict}{'; ' if outcome.message else ''}{outcome.message}")
+            track(len(outcomes), len(tasks), outcome.name)
+        screen.show(outcomes_table(outcomes))
+        screen.note(f"results in {command.out}; to read: {page}")
+        screen.answer({"sites": outcomes})
+    return exit_status_of(outcomes)
+
+
 def evaluate(command: Evaluate) -> None:
     """`skymoor evaluate`."""
     from skymoor.cli.tables import accuracy_table, evaluation_table
@@ -90,6 +129,10 @@ def evaluate(command: Evaluate) -> None:
         rewrite_report(result, store)
         screen.show(evaluation_table(rows))
         screen.show(accuracy_table(rows))
+        for row in rows:
+            if row.n_without_truth:
+                missing = f"{row.n_without_truth} of {row.n_cameras} registered cameras have no line in {command.truth}"
+                screen.note(f"{row.set} {row.component}: {missing}, and are not evaluated")
 
 
 def export(command: Export) -> None:
@@ -193,6 +236,40 @@ def grids(command: Grids) -> None:
         file = fetch_grid(command.action.name, lambda name: screen.track(f"{name}, MB"))
         digest = "" if file.sha256 is None else f", sha256 {file.sha256}"
         screen.note(f"{file.path}: {'was here' if file.was_there else 'fetched'}{digest}")
+
+
+def reference(command: Reference) -> None:
+    """`skymoor reference`."""
+    from skymoor.sources.fetch import fetch_reference
+
+    with Screen(plain=command.quiet) as screen:
+        found = fetch_reference(
+            command.ortho,
+            command.dsm,
+            command.out,
+            bbox=command.bbox,
+            pixel_m=command.pixel,
+            date=command.date,
+            track=screen.track,
+        )
+        for text in found.notes:
+            screen.note(text)
+        rights = "; ".join(text for text in (found.facts.licence, found.facts.credit) if text)
+        screen.note(f"licence and credit: {rights or 'the source does not say; ask for them before you publish'}")
+        screen.note(f"{found.table}: the table [reference] for site.toml; add the photos, and what it says is missing")
+
+
+def index(command: Index) -> None:
+    """`skymoor index`."""
+    from skymoor.pipeline.feature_index import write_index
+    from skymoor.pipeline.site import load_site
+
+    named = command.reference
+    ortho = load_site(named).reference.ortho if named.suffix.lower() == ".toml" else named
+    with Screen(plain=command.quiet) as screen:
+        file, count = write_index(ortho, progress=screen.track("index, tiles"))
+        size_mb = file.stat().st_size / 1e6
+        screen.note(f"{file}: {count} local features, {size_mb:.0f} MB; runs on {ortho} use them from now on")
 
 
 def doctor(command: Doctor) -> bool:

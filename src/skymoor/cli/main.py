@@ -15,6 +15,7 @@ import tyro
 
 from skymoor import __version__
 from skymoor.cli.arguments import (
+    Batch,
     Clean,
     Completion,
     Demo,
@@ -22,6 +23,8 @@ from skymoor.cli.arguments import (
     Evaluate,
     Export,
     Grids,
+    Index,
+    Reference,
     Report,
     Run,
     Schema,
@@ -39,6 +42,7 @@ OF_THE_DISK = (
 )
 COMMANDS = {
     "run": Run,
+    "batch": Batch,
     "evaluate": Evaluate,
     "export": Export,
     "report": Report,
@@ -48,6 +52,8 @@ COMMANDS = {
     "demo": Demo,
     "weights": Weights,
     "grids": Grids,
+    "reference": Reference,
+    "index": Index,
     "doctor": Doctor,
     "schema": Schema,
     "completion": Completion,
@@ -79,6 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return status
     except (InputError, BackendUnavailable) as error:  # such as a chosen engine that is not installed
         _tell(error)
+        for line in getattr(error, "details", ()):
+            print(line, file=sys.stderr)
         return EXIT_USAGE
     except SkymoorError as error:
         _tell(error)
@@ -122,6 +130,12 @@ def _done(chosen: Any) -> int:
         commands.weights(chosen)
     elif isinstance(chosen, Grids):
         commands.grids(chosen)
+    elif isinstance(chosen, Reference):
+        commands.reference(chosen)
+    elif isinstance(chosen, Batch):
+        return commands.batch(chosen)
+    elif isinstance(chosen, Index):
+        commands.index(chosen)
     elif isinstance(chosen, Doctor):
         return EXIT_REGISTERED if commands.doctor(chosen) else EXIT_ERROR
     else:

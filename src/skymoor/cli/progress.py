@@ -21,13 +21,19 @@ from skymoor.types import Progress
 NOTE_S = 20.0  # between two lines of one stage in a pipe
 
 
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Rich would exit with status 1; the command line has the status of the signal, as other programs."""
+        raise BrokenPipeError
+
+
 class Screen:
     """Shows progress: bars on a terminal, one line per finished stage elsewhere."""
 
     def __init__(self, *, plain: bool = False, for_scripts: bool = False) -> None:
         """`plain` for lines in place of bars; `for_scripts` sends all but the JSON of `answer` to stderr."""
         stream = sys.stderr if for_scripts else sys.stdout
-        self._console = Console(file=stream, width=None if stream.isatty() else 160, highlight=False)
+        self._console = _Console(file=stream, width=None if stream.isatty() else 160, highlight=False)
         self._for_scripts = for_scripts
         self._tracks: dict[str, Progress] = {}
         self._ended: set[str] = set()

@@ -10,6 +10,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from skymoor.batch.sites import Outcome
 from skymoor.cli.doctor import Check
 from skymoor.engines.proj_grids import DatumGrids
 from skymoor.engines.weights import Weights
@@ -57,6 +58,17 @@ def _remark(component: dict[str, Any]) -> str:
     """What a person must know of the heights of a registered component."""
     height = component.get("height_verdict") or {}
     return "; ".join(text for text in (height.get("reason", ""), component["calibration_note"]) if text)
+
+
+def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
+    """One line per site of a batch."""
+    table = Table(title="sites")
+    for heading in ("site", "status", "components", "photos", "CE90 m", "minutes"):
+        table.add_column(heading)
+    for one in sorted(outcomes, key=lambda one: one.name):
+        counts = (f"{one.registered} of {one.components}", f"{one.placed} of {one.photos}")
+        table.add_row(Text(one.name), one.verdict, *counts, _number(one.ce90_m), f"{one.seconds / 60:.1f}")
+    return table
 
 
 def remedies(summary: dict[str, Any]) -> list[str]:

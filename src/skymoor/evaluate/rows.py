@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,9 +66,11 @@ class EvaluationRow:
     the cameras whose horizontal error is within their predicted CE90, and whose vertical error is within their LE90.
     (They share the reference's error: of one component, most are within or most are not.)
 
-    Every measure is None where the component is not registered, and those that need heights where its heights are not
+    Every measure is None where the component is not registered, the two Mahalanobis distances where the accuracy of the
+    reference is unknown, and those that need heights where its heights are not
     confirmed; `rmse_procrustes_m` also where fewer than three cameras
-    or collinear ones do not determine the fit. `n_truth` counts the component's cameras that are in the truth.
+    or collinear ones do not determine the fit. `n_truth` counts the component's cameras that are in the truth. The
+    measures are of the registered ones among them; `n_without_truth` counts the registered ones that are not.
     """
 
     set: str
@@ -95,6 +97,7 @@ class EvaluationRow:
     predicted_relative_le90_m: float | None = None
     share_within_ce90: float | None = None
     share_within_le90: float | None = None
+    n_without_truth: int = 0
 
 
 def evaluate(
@@ -110,13 +113,14 @@ def evaluate(
     predicted one. `scene_centres` gives, by (set, component), the point (3,) ENU that the standoff is measured to; a
     component without one has no standoff. Images without a component are left out.
 
-    Raises `InputError` when an image is listed twice, or a registered camera has no truth.
+    Raises `InputError` when an image is listed twice, or the truth has none of the registered cameras.
     """
     _require_unique([truth.image for truth in truths], "the truth")
     _require_unique([estimate.image for estimate in estimates], "the cameras")
     lla = np.array([(truth.lat, truth.lon, truth.height) for truth in truths]).reshape(-1, 3)
     enu = frame.enu_from_lla(lla[:, 0], lla[:, 1], lla[:, 2]) if truths else np.zeros((0, 3))
     truth_enu = {truth.image: position for truth, position in zip(truths, enu, strict=True)}
+    _require_common(estimates, truth_enu)
     groups: dict[tuple[str, int], list[Estimate]] = {}
     for estimate in estimates:
         if estimate.component is not None:
@@ -137,27 +141,25 @@ def _row(
     n_truth = sum(estimate.image in truth_enu for estimate in group)
     if not registered:
         return EvaluationRow(*name, "NOT_REGISTERED", len(group), n_truth)
-    group = registered
-    missing = [estimate.image for estimate in group if estimate.image not in truth_enu]
-    if missing:
-        shown = ", ".join(missing[:NAMED_IN_MESSAGE]) + (", ..." if len(missing) > NAMED_IN_MESSAGE else "")
-        raise InputError(
-            f"the truth lacks {len(missing)} of {len(group)} images of {name[0]} component {name[1]}: {shown}; "
-            "name them relative to the site's folder"
-        )
+    n_cameras, group = len(registered), [one for one in registered if one.image in truth_enu]
+    without = n_cameras - len(group)
+    if not group:
+        return EvaluationRow(*name, "REGISTERED", n_cameras, n_truth, n_without_truth=without)
     truth = np.array([truth_enu[estimate.image] for estimate in group])
     positions = _positions(group, truth, frame)
     errors = positions - truth
     horizontal, vertical = np.linalg.norm(errors[:, :2], axis=1), np.abs(errors[:, 2])
     bias = errors.mean(axis=0)
     if any(estimate.height is None for estimate in group):
-        return _in_plan(name, group, n_truth, horizontal, bias)
+        row = _in_plan(name, group, n_truth, horizontal, bias)
+        return replace(row, n_cameras=n_cameras, n_without_truth=without)
     absolute, relative = np.linalg.norm(errors, axis=1), np.linalg.norm(errors - bias, axis=1)
     return EvaluationRow(
         *name,
         "REGISTERED",
-        len(group),
+        n_cameras,
         n_truth,
+        n_without_truth=without,
         mean_absolute_m=float(absolute.mean()),
         median_absolute_m=float(np.median(absolute)),
         mean_horizontal_m=float(horizontal.mean()),
@@ -165,8 +167,8 @@ def _row(
         mean_relative_m=float(relative.mean()),
         median_relative_m=float(np.median(relative)),
         rmse_procrustes_m=_rmse_procrustes(positions, truth),
-        mahalanobis_of_mean=float(mahalanobis(bias[None], covariance)[0]),
-        mean_mahalanobis=float(mahalanobis(errors, covariance).mean()),
+        mahalanobis_of_mean=_known(mahalanobis(bias[None], covariance)[0]),
+        mean_mahalanobis=_known(mahalanobis(errors, covariance).mean()),
         standoff_m=None if scene_centre is None else float(np.linalg.norm(positions - scene_centre, axis=1).mean()),
         predicted_ce90_m=_mean([estimate.ce90 for estimate in group]),
         predicted_le90_m=_mean([estimate.le90 for estimate in group]),
@@ -178,6 +180,10 @@ def _row(
         share_within_ce90=_share_within(horizontal, [estimate.ce90 for estimate in group]),
         share_within_le90=_share_within(vertical, [estimate.le90 for estimate in group]),
     )
+
+
+def _known(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
 
 
 def _in_plan(
@@ -229,6 +235,17 @@ def _mean(values: Sequence[float | None]) -> float | None:
 def _share_within(errors: Array, limits: Sequence[float | None]) -> float | None:
     known = [error <= limit for error, limit in zip(errors, limits, strict=True) if limit is not None]
     return float(np.mean(known)) if known else None
+
+
+def _require_common(estimates: Sequence[Estimate], truth_enu: Mapping[str, Array]) -> None:
+    """A truth of part of the photos is evaluated where it is known; one of other photos is a mistake."""
+    registered = [one.image for one in estimates if one.component is not None and one.registered]
+    if registered and not any(image in truth_enu for image in registered):
+        shown = ", ".join(registered[:NAMED_IN_MESSAGE]) + (", ..." if len(registered) > NAMED_IN_MESSAGE else "")
+        raise InputError(
+            f"the truth has none of the {len(registered)} registered images: {shown}; name them relative to the site's "
+            "folder"
+        )
 
 
 def _require_unique(images: Sequence[str], where: str) -> None:

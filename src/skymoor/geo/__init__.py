@@ -2,6 +2,7 @@
 """Earth: the local frame, grids in it, vertical datums and accuracy figures."""
 
 from skymoor.geo.accuracy import (
+    UNKNOWN_ACCURACY,
     UNKNOWN_HEIGHT_SIGMA_M,
     ce90_m,
     checked_covariance,
@@ -14,6 +15,7 @@ from skymoor.geo.frame import EnuFrame
 from skymoor.geo.grid import Grid, sample
 
 __all__ = [
+    "UNKNOWN_ACCURACY",
     "UNKNOWN_HEIGHT_SIGMA_M",
     "EnuFrame",
     "Grid",

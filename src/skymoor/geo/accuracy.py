@@ -19,6 +19,10 @@ LE90_PER_SIGMA = 1.6448536269514722  # quantile of the normal distribution at (1
 UNKNOWN_HEIGHT_SIGMA_M = 5000.0
 
 
+UNKNOWN_ACCURACY: Array = np.full((3, 3), np.nan)
+"""The covariance of a reference of which nobody says how accurate it is: what comes of it has no absolute accuracy."""
+
+
 def covariance_from_ce90_le90(ce90_m: float, le90_m: float) -> Array:
     """Covariance (3, 3) in m^2 of a circular horizontal error of that CE90 and a vertical error of that LE90.
 
@@ -34,9 +38,12 @@ def covariance_from_ce90_le90(ce90_m: float, le90_m: float) -> Array:
 def ce90_m(covariance: ArrayLike) -> float:
     """Radius in metres that holds 90 % of the horizontal errors of a covariance (2, 2) or (3, 3) in m^2.
 
-    Exact for every error ellipse: the probability inside a circle is one smooth integral, solved for 90 %.
+    NaN for `UNKNOWN_ACCURACY`. Exact for every error ellipse: the probability inside a circle is one smooth integral,
+    solved for 90 %.
     """
     plan = np.asarray(covariance, dtype=np.float64)[:2, :2]
+    if np.isnan(plan).all():
+        return float("nan")
     minor, major = np.sqrt(np.maximum(np.linalg.eigvalsh((plan + plan.T) / 2.0), 0.0))
     if not np.isfinite(major):
         raise ValueError("the covariance is not finite")
@@ -55,8 +62,13 @@ def le90_m(covariance: ArrayLike) -> float:
 
 
 def mahalanobis(errors: ArrayLike, covariance: ArrayLike) -> Array:
-    """Lengths (n,) of errors (n, 3) in metres, in standard deviations of a covariance (3, 3) in m^2."""
+    """Lengths (n,) of errors (n, 3) in metres, in standard deviations of a covariance (3, 3) in m^2.
+
+    NaN for `UNKNOWN_ACCURACY`.
+    """
     e = np.asarray(errors, dtype=np.float64).reshape(-1, 3)
+    if np.isnan(covariance).all():
+        return np.full(len(e), np.nan)
     root = np.linalg.cholesky(checked_covariance(covariance))
     lengths: Array = np.linalg.norm(np.linalg.solve(root, e.T), axis=0)
     return lengths

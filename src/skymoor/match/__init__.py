@@ -9,9 +9,10 @@ from skymoor.match._romav2 import RomaV2Matcher
 from skymoor.match.align import match_hypothesis, warp_raster
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
 from skymoor.match.decoys import DecoyOptions, decoy_scores
+from skymoor.match.hypothesis import ImageHypothesis
 from skymoor.match.protocol import DenseMatcher, Retriever
 from skymoor.match.retrieve import ChannelRetriever
-from skymoor.match.search import ImageHypothesis, SearchOptions, search_hypotheses
+from skymoor.match.search import SearchOptions, search_hypotheses
 from skymoor.match.structural import StructuralMatcher
 
 __all__ = [

@@ -14,7 +14,10 @@ from typing import Any
 import numpy as np
 
 from skymoor.engines.options import FIXED
-from skymoor.match.search import ImageHypothesis, ReferencePyramid, SearchOptions, search_in
+from skymoor.match.features import Features
+from skymoor.match.hypothesis import ImageHypothesis
+from skymoor.match.propose import ALL_AZIMUTHS
+from skymoor.match.search import ReferencePyramid, SearchOptions, search_in
 from skymoor.types import Progress, Raster, no_progress
 
 MIN_DECOYS = 2
@@ -45,6 +48,8 @@ def search_decoys(
     options: SearchOptions | None = None,
     decoys: DecoyOptions | None = None,
     rng: np.random.Generator,
+    azimuths: tuple[float, float] = ALL_AZIMUTHS,
+    features: Features | None = None,
     by_features: bool | None = None,
     enough: Callable[[Sequence[float]], bool] = lambda _: False,
     progress: Progress = no_progress,
@@ -57,7 +62,7 @@ def search_decoys(
     """
     decoys = decoys or DecoyOptions()
     options = replace(options or SearchOptions(), keep=decoys.keep)
-    reference = ReferencePyramid(b)
+    reference = ReferencePyramid(b, features)
     best: list[tuple[Raster, ImageHypothesis]] = []
     for decoy in make_decoys(a, decoys, rng):
         found = search_in(
@@ -67,6 +72,7 @@ def search_decoys(
             max_scale=max_scale,
             options=options,
             progress=no_progress,
+            azimuths=azimuths,
             by_features=by_features,
         )
         best += [(decoy, found[0])] if found else []

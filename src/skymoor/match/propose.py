@@ -17,7 +17,8 @@ NEIGHBOURS = 3  # matches of a feature: the right one of many alike is often not
 MIN_SIDE_PX = 48  # of the image at the least size of which features are taken
 LOG_SCALE, AZIMUTH, SHIFT = 0.4, np.radians(24.0), 0.25  # bins of votes; shifts in sides of the image
 TRIED = 60  # bins, those of most votes
-TOLERANCE_PX = 3.0  # of the reference
+TOLERANCE_PX = 3.0  # in which the features of the reference were found
+ALL_AZIMUTHS = (0.0, float(np.pi))
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,10 @@ class Proposal:
 
 
 def image_features(image: Raster, min_scale: float, max_scale: float) -> Features:
-    """Features of an image at the sizes that it may have in the reference, a factor of two apart, in its own pixels."""
+    """Features of an image, in its own pixels, at the sizes that it may have in what it is compared with.
+
+    The sizes are a factor of two apart; scales are pixels of the other per pixel of the image.
+    """
     pyramid, parts, ratio = Pyramid(image), [], min(max_scale, 1.0)
     while True:
         found = features_of(pyramid.at(ratio))
@@ -41,15 +45,24 @@ def image_features(image: Raster, min_scale: float, max_scale: float) -> Feature
             return Features.joined(parts)
 
 
-def propose(image: Raster, reference: Features, *, min_scale: float, max_scale: float, count: int) -> list[Proposal]:
+def propose(
+    image: Raster,
+    reference: Features,
+    *,
+    min_scale: float,
+    max_scale: float,
+    count: int,
+    azimuths: tuple[float, float] = ALL_AZIMUTHS,
+) -> list[Proposal]:
     """Up to `count` places at which most features agree, best first.
 
     Args:
         image: what is searched.
-        reference: `features_of` the raster in which it is searched.
+        reference: features of the raster in which it is searched.
         min_scale, max_scale: pixels of the reference per pixel of the image.
+        azimuths: middle and half width of the azimuths in question, radians.
     """
-    own = image_features(image, min_scale, max_scale)
+    own = image_features(image, min_scale / reference.pixel, max_scale / reference.pixel)
     if len(own) < 3 or len(reference) < NEIGHBOURS:
         return []
     middle = np.array(image.mask.shape[::-1]) / 2
@@ -62,10 +75,19 @@ def propose(image: Raster, reference: Features, *, min_scale: float, max_scale: 
     side = float(max(image.mask.shape))
     proposals = []
     for chosen in _fullest(votes, side, query):
-        fitted = _fitted(own.px[query[chosen]], reference.px[found[chosen]], query[chosen], middle)
-        if fitted is not None and min_scale / 1.1 <= fitted.scale <= 1.1 * max_scale:
+        fitted = _fitted(
+            own.px[query[chosen]], reference.px[found[chosen]], query[chosen], middle, TOLERANCE_PX * reference.pixel
+        )
+        if fitted is None or not min_scale / 1.1 <= fitted.scale <= 1.1 * max_scale:
+            continue
+        if is_turned_within(fitted.azimuth_rad, azimuths):
             proposals.append(fitted)
     return _apart(proposals, side)[:count]
+
+
+def is_turned_within(azimuth_rad: float, azimuths: tuple[float, float]) -> bool:
+    """Whether an azimuth is in a range, given by its middle and half width in radians."""
+    return bool(abs((azimuth_rad - azimuths[0] + np.pi) % (2 * np.pi) - np.pi) <= azimuths[1] + 1e-9)
 
 
 def _votes(
@@ -103,10 +125,10 @@ def _fullest(votes: Array, side: float, query: NDArray[np.int64]) -> list[NDArra
     return ranked[:TRIED]
 
 
-def _fitted(a: Array, b: Array, query: NDArray[np.int64], middle: Array) -> Proposal | None:
+def _fitted(a: Array, b: Array, query: NDArray[np.int64], middle: Array, tolerance: float) -> Proposal | None:
     """The similarity on which most of the matches of a bin agree."""
     matrix, inliers = cv2.estimateAffinePartial2D(
-        a, b, method=cv2.RANSAC, ransacReprojThreshold=TOLERANCE_PX, maxIters=500, confidence=0.995
+        a, b, method=cv2.RANSAC, ransacReprojThreshold=tolerance, maxIters=500, confidence=0.995
     )
     if matrix is None or not np.isfinite(matrix).all():
         return None

@@ -8,6 +8,7 @@ resolutions, because the correct one does not always rank first before. Dense ma
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -18,9 +19,10 @@ from skymoor.engines.options import FIXED
 from skymoor.match.channels import ChannelOptions, Channels, make_channels, rotate_angles
 from skymoor.match.correlate import Target, correlate, peaks
 from skymoor.match.features import Features, features_of
-from skymoor.match.propose import Proposal, propose
+from skymoor.match.hypothesis import ImageHypothesis, distinct
+from skymoor.match.propose import ALL_AZIMUTHS, Proposal, is_turned_within, propose
 from skymoor.match.pyramid import Pyramid
-from skymoor.types import Array, Progress, Raster, no_progress
+from skymoor.types import Progress, Raster, no_progress
 
 PROPOSALS = 8  # places of most features that are refined
 DECISIVE, DECISIVE_RATIO = 20, 2.0
@@ -28,30 +30,6 @@ DECISIVE, DECISIVE_RATIO = 20, 2.0
 ones with a map of another season 27 to 300 (docs/benchmarks.md)."""
 LARGE_PX = 2_000_000  # of a reduced reference, of which only one size is kept, and only parts are refined in
 BORDER_PX = 40  # round such parts: what channels depend on, and how far a place moves
-
-
-@dataclass(frozen=True)
-class ImageHypothesis:
-    """A similarity: pixel p of the image is at `scale * R (p - centre) + centre_px` of the reference, in pixels.
-
-    R rotates by `azimuth_rad` from u towards v; `centre` is the middle of the image and `centre_px` its position
-    (u, v) in the reference. `score` is the correlation in standard deviations of unrelated content; scores are
-    comparable within one level of refinement only. `by_features`: local features were decisive, and nothing else was
-    searched.
-    """
-
-    scale: float
-    azimuth_rad: float
-    centre_px: tuple[float, float]
-    score: float
-    by_features: bool = False
-
-    def matrix(self, shape: tuple[int, int]) -> Array:
-        """(2, 3) affine from the pixels of an image of `shape` (h, w) to those of the reference."""
-        c, s = self.scale * np.cos(self.azimuth_rad), self.scale * np.sin(self.azimuth_rad)
-        linear = np.array([[c, -s], [s, c]])
-        centre = np.array([shape[1] / 2, shape[0] / 2])
-        return np.column_stack([linear, np.array(self.centre_px) - linear @ centre])
 
 
 @dataclass(frozen=True)
@@ -92,15 +70,24 @@ def search_hypotheses(
     min_scale: float,
     max_scale: float,
     options: SearchOptions | None = None,
+    azimuths: tuple[float, float] = ALL_AZIMUTHS,
+    features: Features | None = None,
     progress: Progress = no_progress,
 ) -> list[ImageHypothesis]:
     """The best hypotheses of `a` in `b`, best first and mutually distinct; scale is pixels of b per pixel of a.
 
-    Scales at which the image would not fit into the reference are skipped; the list is empty if none remains.
+    `azimuths` are the middle and the half width of those in question, in radians; `features` those of `b`, where they
+    are known. Scales at which the image would not fit into the reference are skipped; the list is empty if none
+    remains.
     """
-    options = options or SearchOptions()
     return search_in(
-        ReferencePyramid(b), a, min_scale=min_scale, max_scale=max_scale, options=options, progress=progress
+        ReferencePyramid(b, features),
+        a,
+        min_scale=min_scale,
+        max_scale=max_scale,
+        options=options or SearchOptions(),
+        azimuths=azimuths,
+        progress=progress,
     )
 
 
@@ -112,6 +99,7 @@ def search_in(
     max_scale: float,
     options: SearchOptions,
     progress: Progress,
+    azimuths: tuple[float, float] = ALL_AZIMUTHS,
     by_features: bool | None = None,
 ) -> list[ImageHypothesis]:
     """`search_hypotheses` in a reference that several searches share, so that its channels are computed once.
@@ -124,16 +112,25 @@ def search_in(
     max_scale = min(max_scale, float(np.sqrt(room)))
     if max_scale < min_scale:
         return []
-    proposals = propose(a, reference.features, min_scale=min_scale, max_scale=max_scale, count=PROPOSALS)
+    limits = {"min_scale": min_scale, "max_scale": max_scale}
+    proposals = propose(a, reference.features, **limits, count=PROPOSALS, azimuths=azimuths)
     alone = _decisive(proposals) if by_features is None else by_features
     start = [ImageHypothesis(one.scale, one.azimuth_rad, one.centre_px, float(one.inliers), alone) for one in proposals]
     scales, coarse = [] if alone else search.scales(min_scale, max_scale), []
     for done, scale in enumerate(scales):
-        coarse += search.coarse(scale)
+        coarse += search.coarse(scale, azimuths)
         progress(done + 1, len(scales) + 1)
     found = search.refined([*distinct(coarse, a.mask.shape)[: options.keep], *start[: options.keep]])
     progress(len(scales) + 1, len(scales) + 1)
     return found
+
+
+def refine_in(b: Raster, a: Raster, starts: Sequence[ImageHypothesis], options: SearchOptions) -> list[ImageHypothesis]:
+    """Hypotheses of `a`, given in pixels of `b`, at finer and finer resolutions of it, best first.
+
+    Those that lie beside it are left out.
+    """
+    return _Search(a, ReferencePyramid(b), options).refined(list(starts))
 
 
 def _decisive(proposals: list[Proposal]) -> bool:
@@ -144,35 +141,19 @@ def _decisive(proposals: list[Proposal]) -> bool:
     return proposals[0].inliers >= max(DECISIVE, DECISIVE_RATIO * second)
 
 
-def distinct(hypotheses: list[ImageHypothesis], shape: tuple[int, int]) -> list[ImageHypothesis]:
-    """Best first, without near duplicates of a better one; `shape` (h, w) is the image's."""
-    kept: list[ImageHypothesis] = []
-    for p in sorted(hypotheses, key=lambda p: -p.score):
-        if all(not equivalent(p, q, shape) for q in kept):
-            kept.append(p)
-    return kept
-
-
-def equivalent(p: ImageHypothesis, q: ImageHypothesis, shape: tuple[int, int]) -> bool:
-    """Whether two hypotheses differ by no more than a refinement would correct."""
-    rotation = abs((p.azimuth_rad - q.azimuth_rad + np.pi) % (2 * np.pi) - np.pi)
-    distance = np.hypot(p.centre_px[0] - q.centre_px[0], p.centre_px[1] - q.centre_px[1])
-    near = 0.12 * max(shape) * max(p.scale, q.scale)
-    return bool(rotation < np.radians(15) and abs(np.log(p.scale / q.scale)) < 0.2 and distance < near)
-
-
 class ReferencePyramid:
     """A reference with its channels and spectra, computed once per size and channel options."""
 
-    def __init__(self, raster: Raster) -> None:
+    def __init__(self, raster: Raster, features: Features | None = None) -> None:
         self.raster = raster
         self.pyramid = Pyramid(raster)
+        self._features = features
         self._targets: dict[tuple[float, ChannelOptions], Target] = {}
 
     @cached_property
     def features(self) -> Features:
         """Its local features."""
-        return features_of(self.raster)
+        return features_of(self.raster) if self._features is None else self._features
 
     def at(self, ratio: float, options: ChannelOptions) -> Target:
         """The reference reduced by `ratio`, at most 1."""
@@ -217,8 +198,8 @@ class _Search:
             1.0 if ratio >= 1 else float(max(1.0, self.options.template_px / (scale * ratio * max(self._shape)) / 1.42))
         )
 
-    def coarse(self, scale: float) -> list[ImageHypothesis]:
-        """The best hypotheses at one scale over all rotations."""
+    def coarse(self, scale: float, azimuths: tuple[float, float] = ALL_AZIMUTHS) -> list[ImageHypothesis]:
+        """The best hypotheses at one scale over the rotations in question."""
         ratio = self.ratio(scale, self.options.template_px)
         small = self._a.at(scale * ratio)
         if min(small.mask.shape) < 16 or small.mask.sum() < 400:
@@ -228,6 +209,8 @@ class _Search:
         found = []
         count = round(360 / (self.options.azimuth_step_deg * self.coarseness(scale)))
         for azimuth in 2 * np.pi / count * np.arange(count):
+            if not is_turned_within(azimuth, (azimuths[0], azimuths[1] + np.pi / count)):
+                continue
             template = rotate_channels(channels, azimuth)
             side = template.values.shape[1]
             scores = correlate(template, target, min_overlap=self.options.min_overlap)

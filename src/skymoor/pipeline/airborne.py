@@ -13,20 +13,19 @@ import numpy as np
 
 from skymoor.densify import DepthEstimator, check_camera_poses, relative_depths
 from skymoor.errors import DegenerateGeometry
-from skymoor.match import ImageHypothesis
+from skymoor.match.propose import ALL_AZIMUTHS
 from skymoor.model import SceneModel, render_nadir
 from skymoor.orient import GroundLabeler, estimate_gravity, ground_points, level_from_gravity
-from skymoor.pipeline.job import ComponentResult, Job, MapHypothesis, or_else, refused
-from skymoor.pipeline.null_samples import null_samples
-from skymoor.pipeline.register_best import Prior, register_best
-from skymoor.pipeline.search import search_reference
+from skymoor.pipeline.job import ComponentResult, Job, Searched, or_else, refused
+from skymoor.pipeline.photo_sets import or_too_few
+from skymoor.pipeline.place_render import hypothesis_on_map, register_render, search_render
+from skymoor.pipeline.register_best import Prior
+from skymoor.pipeline.search import Extent, search_again
 from skymoor.reconstruct import ReconstructOptions, reconstruct, with_focal
-from skymoor.registration import focal_posterior, inlier_limit_m
+from skymoor.registration import focal_posterior
 from skymoor.registration.criteria import criterion, with_criteria
-from skymoor.types import Component, DepthMap, Mask, Matches3D, Reference, Registration, Render
+from skymoor.types import Component, DepthMap, Mask, Registration, Render
 
-DECISIVE = 1 / 10
-"""Share of the largest false-alarm probability below which further decoys could not change the verdict."""
 IMMATERIAL = 0.25
 """Standard deviations below which a correction of the focal length is left out: they grow by 3 %, a run is saved."""
 
@@ -34,6 +33,9 @@ IMMATERIAL = 0.25
 def register_airborne(job: Job) -> list[ComponentResult]:
     """Every component of a set of airborne photos, registered or refused."""
     choices = job.options.reconstruct.stage_options(job.options.engines, shared_camera=True)
+    # Photos from above do not determine intrinsics one by one, so none would be left; their lenses are told apart by
+    # the scale of what they show, without being asked.
+    choices = replace(choices, mixed_lenses=False)
     components = reconstruct_set("reconstruct", job, choices)
     return [_register_or_refuse(f"{job.name}-{k}", component, job) for k, component in enumerate(components)]
 
@@ -73,11 +75,12 @@ def register_component(name: str, component: Component, job: Job) -> ComponentRe
     if abs(np.log(ratio)) < IMMATERIAL * sigma:
         return replace(first, component=replace(first.component, calibration=calibration.narrowed(ratio, sigma)))
     refocused = job.store.stage(f"{name}.refocus", with_focal, component, ratio, sigma)
-    second = _register(f"{name}-refocused", refocused, job)
+    second = _register(f"{name}-refocused", refocused, job, first)
     return second if second.registration.registered else first
 
 
-def _register(name: str, component: Component, job: Job) -> ComponentResult:
+def _register(name: str, component: Component, job: Job, before: ComponentResult | None = None) -> ComponentResult:
+    """Register a component, or refuse it; where it was `before`, with another focal length, from the same places."""
     options, store = job.options, job.store
     try:
         ground = ground_of(name, component, options.engines.labeler(options.orient.labels), job)
@@ -91,17 +94,17 @@ def _register(name: str, component: Component, job: Job) -> ComponentResult:
         model = _model(name, level, depths, job)
         render = store.stage(f"{name}.nadir", render_nadir, model, options.render, progress=job.track("nadir view"))
     except DegenerateGeometry as error:
-        return refused(name, component, str(error))
-    hypotheses = _search(name, render, job)
-    if not hypotheses:
+        return refused(name, component, or_too_few(str(error), len(component.cameras)))
+    searched = _search(name, level, render, job) if before is None else _search_again(name, level, render, before, job)
+    if not searched.hypotheses:
         none = Registration(registered=False, reason="", enu_from_level=None)
         nothing = with_criteria(none, [criterion("map_hypotheses", 0, 1)])
         return ComponentResult(name, level, level_from_sfm, nothing, gravity, depths, model, render)
     prior = Prior(gravity.sigma_deg, component.calibration)
-    registration, matches = _consensus(name, hypotheses, render, prior, job)
+    registration, matches = register_render(name, searched, render, prior, options.match.min_height_confidence, job)
     found = ComponentResult(name, level, level_from_sfm, registration, gravity, depths, model, render, matches)
-    on_map = [_on_map(hypothesis, render, job.reference) for hypothesis in hypotheses]
-    return replace(found, pose_checks=checks, hypotheses=on_map)
+    on_map = [hypothesis_on_map(hypothesis, render, job.reference) for hypothesis in searched.hypotheses]
+    return replace(found, pose_checks=checks, hypotheses=on_map, searched=searched)
 
 
 def densify_component(name: str, level: Component, job: Job, estimator: DepthEstimator) -> list[DepthMap]:
@@ -124,57 +127,21 @@ def _model(name: str, level: Component, depths: Sequence[DepthMap], job: Job) ->
     return job.store.stage(stage, options.builder(engines), level, depths, monocular=monocular, **own)
 
 
-def _search(name: str, render: Render, job: Job) -> list[ImageHypothesis]:
-    match, progress = job.options.match, job.track("search")
-    heights_m = (match.min_height_m, match.max_height_m)
-    settings = (heights_m, match.min_height_confidence, match.search)
-    return job.store.stage(f"{name}.search", search_reference, render, job.reference, *settings, progress=progress)
+def _search(name: str, level: Component, render: Render, job: Job) -> Searched:
+    """At the flying heights and azimuths in question."""
+    match = job.options.match
+    azimuths = ALL_AZIMUTHS if job.heading is None else job.heading.azimuths(level.cameras)
+    extent = Extent((match.min_height_m, match.max_height_m), azimuths)
+    return search_render(name, render, extent, match.min_height_confidence, job)
 
 
-def _consensus(
-    name: str, hypotheses: Sequence[ImageHypothesis], render: Render, prior: Prior, job: Job
-) -> tuple[Registration, Matches3D]:
-    """The registration that most independent matches confirm, accepted or refused."""
-    options, match = job.options, job.options.match
-    matcher = options.engines.dense_matcher(match.matcher)
-    decoys = job.store.stage(
-        f"{name}.decoys",
-        null_samples,
-        hypotheses[0],
-        render,
-        job.reference,
-        (match.min_height_m, match.max_height_m),
-        match.min_height_confidence,
-        match.search,
-        match.decoys,
-        matcher,
-        match.cyclic,
-        inlier_limit_m(job.reference.grid.pixel_m, options.register),
-        options.register.correlation_m,
-        decisive=options.register.max_false_alarm * DECISIVE,
-        seed=job.seed,
-        progress=job.track("decoys"),
-    )
-    return job.store.stage(
-        f"{name}.register",
-        register_best,
-        hypotheses,
-        decoys,
-        render,
-        job.reference,
-        matcher,
-        prior,
-        candidates=match.candidates,
-        min_confidence=match.min_height_confidence,
-        cyclic=match.cyclic,
-        lift_options=options.lift,
-        options=options.register,
-        seed=job.seed,
-    )
-
-
-def _on_map(hypothesis: ImageHypothesis, render: Render, reference: Reference) -> MapHypothesis:
-    east, north = reference.grid.enu_from_px(np.array([hypothesis.centre_px]))[0].tolist()
-    metres_per_unit = hypothesis.scale * reference.grid.pixel_m / render.view.pixel
-    azimuth_deg = float(np.degrees(hypothesis.azimuth_rad) % 360)
-    return MapHypothesis(hypothesis.score, east, north, azimuth_deg, metres_per_unit)
+def _search_again(name: str, level: Component, render: Render, before: ComponentResult, job: Job) -> Searched:
+    """The same hypotheses after a correction of the focal length; what chance reaches does not change with it."""
+    assert before.searched is not None and before.render is not None
+    known = {camera.image: camera.centre[:2] for camera in before.component.cameras}
+    centres = np.array([known[camera.image] for camera in level.cameras])
+    moved = np.array([camera.centre[:2] for camera in level.cameras])
+    settings = (job.reference, job.options.match.min_height_confidence, job.options.match.search)
+    pairs = ((before.render, centres), (render, moved))
+    found = job.store.stage(f"{name}.search", search_again, before.searched.hypotheses, *pairs, *settings)
+    return Searched(found, before.searched.decoys)

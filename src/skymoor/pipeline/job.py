@@ -14,8 +14,13 @@ from skymoor.densify import MetricScale, PoseCheck
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.geometry import Similarity
 from skymoor.ground.walls import GroundPoseCheck
+from skymoor.match import ImageHypothesis
+from skymoor.match.features import Features
 from skymoor.model import SceneModel
 from skymoor.pipeline.options import Options
+from skymoor.pipeline.prior import Heading
+from skymoor.pipeline.search import MapFiles
+from skymoor.registration import NullSample
 from skymoor.store import Store
 from skymoor.types import (
     Array,
@@ -44,7 +49,9 @@ LOG = logging.getLogger("skymoor")
 class Job:
     """What one set of photos is registered with.
 
-    `track` gives the progress callback of a stage, by its name.
+    `track` gives the progress callback of a stage, by its name; `features` those of the reference, found when they are
+    first asked for; `files` are orthophoto, DSM and vertical datum that it was read from, and `heading` what somebody
+    knows of the photos' directions.
     """
 
     photos: Photos
@@ -54,6 +61,9 @@ class Job:
     seed: int
     track: Callable[[str], Progress]
     name: str = "airborne"
+    files: MapFiles | None = None
+    heading: Heading | None = None
+    features: Callable[[], Features] = Features.none
 
 
 @dataclass(frozen=True)
@@ -75,13 +85,21 @@ class MapHypothesis:
 
 
 @dataclass(frozen=True, eq=False)
+class Searched:
+    """Hypotheses of a component in the reference, best first, and what decoys of its render reach there."""
+
+    hypotheses: Sequence[ImageHypothesis]
+    decoys: Sequence[NullSample]
+
+
+@dataclass(frozen=True, eq=False)
 class ComponentResult:
     """A component and the results of its registration. `component` is in the `level` frame.
 
     `name` is that of its stages. `pose_checks` compare each photo with the others. A ground
     component is registered to `base`, an airborne one, and `walls` shows both; or straight to the reference, and `plan`
     shows it there; `metric` is its scale by monocular depth.
-    `hypotheses` are all that were found, the best first.
+    `hypotheses` are all that were found, the best first, and `searched` the same in pixels.
     """
 
     name: str
@@ -99,6 +117,7 @@ class ComponentResult:
     pose_checks: Sequence[GroundPoseCheck | PoseCheck] = ()
     metric: MetricScale | None = None
     hypotheses: Sequence[MapHypothesis] = ()
+    searched: Searched | None = None
 
     @property
     def cameras_enu(self) -> list[Camera]:

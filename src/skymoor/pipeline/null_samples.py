@@ -9,10 +9,12 @@ from skymoor.errors import DegenerateGeometry, TooFewMatches
 from skymoor.match.align import match_hypothesis
 from skymoor.match.cyclic import CyclicOptions
 from skymoor.match.decoys import DecoyOptions, search_decoys
+from skymoor.match.features import Features
+from skymoor.match.hypothesis import ImageHypothesis
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.rasters import nadir_raster, reference_raster
-from skymoor.match.search import ImageHypothesis, SearchOptions
-from skymoor.pipeline.search import scales_of
+from skymoor.match.search import SearchOptions
+from skymoor.pipeline.search import Extent
 from skymoor.registration import NullSample, fit_plan
 from skymoor.registration.agreement import Agreement, count_cells
 from skymoor.registration.significance import false_alarm_probability
@@ -23,7 +25,8 @@ def null_samples(
     best: ImageHypothesis,
     render: Render,
     reference: Reference,
-    heights_m: tuple[float, float],
+    features: Features,
+    extent: Extent,
     min_confidence: float,
     options: SearchOptions,
     decoys: DecoyOptions,
@@ -40,14 +43,14 @@ def null_samples(
 
     Args:
         best: of the render; decoys are searched as it was found.
-        render, reference, heights_m, min_confidence, options: as in `search_reference`.
+        render, reference, features, extent, min_confidence, options: as in `search_reference`.
         decoys: how many, and how they are made.
         matcher, cyclic: of the dense matches.
         inlier_m, cell_m: largest residual of an inlier, and side of an independent cell.
         decisive: false-alarm probability below which no further decoy is searched: each costs as much as the search.
         seed: mixes the decoys' parts.
     """
-    low, high = scales_of(render, reference, heights_m)
+    low, high = extent.scales(render, reference)
     map_image, rng = reference_raster(reference), np.random.default_rng(seed)
     found = search_decoys(
         nadir_raster(render, min_confidence),
@@ -57,6 +60,8 @@ def null_samples(
         options=options,
         decoys=decoys,
         rng=rng,
+        azimuths=extent.azimuths,
+        features=features,
         by_features=best.by_features,
         enough=lambda scores: false_alarm_probability(best.score, scores) < decisive,
         progress=progress,

@@ -26,6 +26,7 @@ from skymoor.pipeline.engines import (
 )
 from skymoor.reconstruct import ReconstructOptions
 from skymoor.registration import LiftOptions, RegisterOptions
+from skymoor.store import VideoOptions
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,8 @@ class ReconstructChoices:
         exhaustive_below: sets of fewer photos are matched all with all.
         min_cameras: smaller components are dropped; the paper keeps those of nine.
         refine_principal_point: at the end, where the photos share one camera and fix its focal length.
-        mixed_lenses: photos of one size may come from several cameras, and which photos share one is found out.
+        mixed_lenses: ground photos of one size may come from several cameras, and which share one is found out;
+            lenses of airborne photos are always told apart.
     """
 
     matcher: PairMatcherName = "sift"
@@ -172,6 +174,7 @@ class Options:
     """Every option of every stage, by its dotted name."""
 
     engines: Engines = field(default_factory=Engines)
+    video: VideoOptions = field(default_factory=VideoOptions)
     reconstruct: ReconstructChoices = field(default_factory=ReconstructChoices)
     orient: OrientChoices = field(default_factory=OrientChoices)
     densify: DensifyChoices = field(default_factory=DensifyChoices)
@@ -190,8 +193,9 @@ def check_engines(options: Options, *, ground: bool = True) -> tuple[Path, ...]:
 
     Raises:
         BackendUnavailable: a library, weights or a device are missing.
-        InputError: nothing is where weights are said to be.
+        InputError: nothing is where weights are said to be, or a number is out of its range.
     """
+    options.video.check()
     engines, model, chosen = options.engines, options.model, options.ground
     air = (
         options.reconstruct.stage_options(engines, shared_camera=True),

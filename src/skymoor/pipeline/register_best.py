@@ -4,18 +4,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skymoor.errors import DegenerateGeometry, TooFewMatches
-from skymoor.geo import sample
+from skymoor.geo import Grid, sample
 from skymoor.match.align import match_hypothesis
 from skymoor.match.cyclic import CyclicOptions
+from skymoor.match.hypothesis import ImageHypothesis
 from skymoor.match.overlay import warp_to_grid
 from skymoor.match.protocol import DenseMatcher
 from skymoor.match.rasters import nadir_raster, reference_raster
-from skymoor.match.search import ImageHypothesis
+from skymoor.pipeline.search import Place
 from skymoor.registration import (
     HeightFit,
     LiftOptions,
@@ -53,13 +54,13 @@ class Prior:
 
 def register_best(
     hypotheses: Sequence[ImageHypothesis],
+    places: Sequence[Place],
     decoys: Sequence[NullSample],
     render: Render,
-    reference: Reference,
+    grid: Grid,
     matcher: DenseMatcher,
     prior: Prior,
     *,
-    candidates: int,
     min_confidence: float,
     cyclic: CyclicOptions,
     lift_options: LiftOptions,
@@ -69,9 +70,11 @@ def register_best(
     """The registration of the best hypothesis, accepted or refused, and its matches.
 
     Args:
-        hypotheses: hypotheses of the search, best first; `candidates` of them are matched.
+        hypotheses: hypotheses of the search, best first.
+        places: of the first ones, those that are matched.
         decoys: null samples of the same search.
-        render, reference: what is matched, by `matcher`.
+        render: what is matched, by `matcher`, with the references of the places.
+        grid: of the reference that was searched; its pixels are those of the matches on return.
         prior: what the photos say.
         min_confidence: heights of the render below it are left out.
         cyclic, lift_options, options: of the steps.
@@ -79,15 +82,32 @@ def register_best(
     """
     rng = np.random.default_rng(seed)
     steps = Steps(matcher, cyclic, lift_options, options, min_confidence)
-    images = nadir_raster(render, min_confidence), reference_raster(reference)
+    image = nadir_raster(render, min_confidence)
     results: list[tuple[Registration, Matches3D]] = []
-    for k, hypothesis in enumerate(hypotheses[:candidates]):
-        candidate = register_hypothesis(hypothesis, images, render, reference, prior, steps, rng=rng)
-        scores = [hypothesis.score, *(other.score for j, other in enumerate(hypotheses) if j != k)]
+    for k, place in enumerate(places):
+        images = image, reference_raster(place.reference)
+        candidate = register_hypothesis(place.hypothesis, images, render, place.reference, prior, steps, rng=rng)
+        scores = [place.hypothesis.score, *(other.score for j, other in enumerate(hypotheses) if j != k)]
         one, n = candidate.registration, candidate.n_matches_2d
-        found = decide(one, scores, n, options, agreement=candidate.agreement, decoys=decoys)
-        results.append((found, candidate.matches))
+        found = decide(
+            one,
+            scores,
+            n,
+            options,
+            agreement=candidate.agreement,
+            decoys=decoys,
+            full_score=place.full_score,
+        )
+        results.append((found, _on_grid(candidate.matches, place.reference.grid, grid)))
     return max(results, key=lambda result: (result[0].registered, result[0].diagnostics.get("cells", 0.0)))
+
+
+def _on_grid(matches: Matches3D, own: Grid, grid: Grid) -> Matches3D:
+    """Matches in pixels of their own grid, with those of another."""
+    if own == grid:
+        return matches
+    pixels = matches.pixels
+    return replace(matches, pixels=replace(pixels, px_b=grid.px_from_enu(own.enu_from_px(pixels.px_b))))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ def site_schema() -> dict[str, Any]:
     metres = {"type": "number", "exclusiveMinimum": 0}
     row = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
     reference = {
-        "ortho": {"type": "string", "description": "orthophoto, any CRS that GDAL reads"},
+        "ortho": {"type": "string", "description": "orthophoto, any CRS that GDAL reads, or its address"},
         "dsm": {
             "type": ["string", "number"],
             "description": "its surface model, or one height of the ground in metres; without it heights stay unknown",
@@ -28,9 +28,15 @@ def site_schema() -> dict[str, Any]:
         "vertical_datum": {"type": "string", "description": '"ellipsoid" or an EPSG code such as "EPSG:3855"'},
         "ce90": {**metres, "description": "circular error, 90 percent, metres"},
         "le90": {**metres, "description": "linear (vertical) error, 90 percent, metres"},
+        "accuracy": {"const": "unknown", "description": "in place of ce90 and le90, where nobody knows them"},
         "covariance": {"type": "array", "items": row, "minItems": 3, "maxItems": 3},
+        "licence": {"type": "string", "description": "of the reference; goes into the summary, report and exports"},
+        "credit": {"type": "string", "description": "whom to name, as the licence asks"},
+        "date": {"type": "string", "description": "when the orthophoto was taken"},
     }
-    images = _table({"images": {"type": "string", "description": "folder of photos"}}, required=["images"])
+    source = {"type": "string", "description": "folder of photos with its sub-folders, or a video"}
+    several = {"type": "array", "items": source, "minItems": 1}
+    images = _table({"images": {"anyOf": [source, several]}}, required=["images"])
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A site of skymoor",

@@ -15,6 +15,8 @@ from skymoor.reconstruct.pairs import exhaustive_pairs, preemptive_pairs
 from skymoor.reconstruct.protocol import PairMatcher, colmap_name
 from skymoor.types import Array32, Photos, Progress
 
+LARGE_PX = 1600  # longer side from which photos are not enlarged before features are found
+
 
 @dataclass(frozen=True)
 class SiftMatcher:
@@ -47,6 +49,8 @@ class SiftMatcher:
         options = pycolmap.FeatureExtractionOptions(use_gpu=False, num_threads=threads())
         options.max_image_size = self.max_image_px
         options.sift.max_num_features = self.max_features
+        # Twice the size finds blobs of two pixels, which large photos have no need of: the same poses in half the time.
+        options.sift.first_octave = 0 if min(max(size) for size in photos.sizes) >= LARGE_PX else -1
         extract(
             photos,
             database,

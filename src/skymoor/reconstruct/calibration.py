@@ -9,13 +9,14 @@ is also fixed at other values while everything else is adjusted, and the cost sh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pycolmap
 
 from skymoor.engines.colmap import colmap_from_component, component_from_colmap
+from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.reconstruct.uncertainty import centre_covariances
 from skymoor.types import Calibration, Component
 
@@ -36,10 +37,12 @@ def adjust(
     extra: bool = True,
     robust: bool = False,
     max_iterations: int = 50,
+    fixed: Collection[int] = (),
 ) -> float:
     """Bundle adjustment in place; returns the root mean square reprojection error in pixels.
 
-    `robust` reduces the weight of outliers (Cauchy's loss at one pixel).
+    `robust` reduces the weight of outliers (Cauchy's loss at one pixel); the intrinsics of cameras in `fixed`, by their
+    ids, stay as they are.
     """
     options = pycolmap.BundleAdjustmentOptions(
         refine_focal_length=focal,
@@ -53,8 +56,11 @@ def adjust(
     options.ceres.solver_options.function_tolerance = 1e-6
     if robust:
         options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    config = _all_images(reconstruction)
+    for camera_id in fixed:
+        config.set_constant_cam_intrinsics(camera_id)
     # The adjuster itself, not pycolmap.bundle_adjustment, which writes to stderr at any log level.
-    pycolmap.create_default_bundle_adjuster(options, _all_images(reconstruction), reconstruction).solve()
+    pycolmap.create_default_bundle_adjuster(options, config, reconstruction).solve()
     reconstruction.update_point_3d_errors()
     return rms_px(reconstruction)
 
@@ -87,6 +93,14 @@ def calibrate(reconstruction: pycolmap.Reconstruction, *, ratios: Sequence[float
         focal_high_ratio=high,
         uncertain=high - low > UNCERTAIN_RATIO,
     )
+
+
+def widened(calibration: Calibration, sigma: float) -> Calibration:
+    """With a further relative standard deviation of the focal length, of some of the cameras."""
+    half = LE90_PER_SIGMA * sigma
+    low = 1 - float(np.hypot(1 - calibration.focal_low_ratio, half))
+    high = 1 + float(np.hypot(calibration.focal_high_ratio - 1, half))
+    return replace(calibration, focal_low_ratio=low, focal_high_ratio=high, uncertain=high - low > UNCERTAIN_RATIO)
 
 
 def _crossing(excess: dict[float, float], edge: float, direction: int) -> float:

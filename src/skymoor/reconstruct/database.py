@@ -34,7 +34,7 @@ def enter_photos(photos: Photos, database: Path, *, shared_camera: bool) -> None
     with pycolmap.Database.open(database) as db:
         for index, size in enumerate(photos.sizes):
             if size not in cameras or not shared_camera:
-                cameras[size] = _new_camera(db, model, size)
+                cameras[size] = new_camera(db, model, size)
             camera_id, rig_id = cameras[size]
             image_id = db.write_image(pycolmap.Image(name=colmap_name(index, size), camera_id=camera_id))
             frame = pycolmap.Frame(rig_id=rig_id)
@@ -179,7 +179,7 @@ def blocks(items: Sequence[T], size: int) -> Iterator[Sequence[T]]:
         yield items[start : start + size]
 
 
-def _new_camera(db: pycolmap.Database, model: str, size: tuple[int, int]) -> tuple[int, int]:
+def new_camera(db: pycolmap.Database, model: str, size: tuple[int, int]) -> tuple[int, int]:
     """Ids of a new camera with COLMAP's default intrinsics, and of the rig of this camera alone."""
     camera = pycolmap.Camera.create_from_model_name(0, model, 1.2 * max(size), *size)
     camera.camera_id = db.write_camera(camera)

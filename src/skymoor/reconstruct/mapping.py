@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,9 +17,11 @@ from skymoor.engines.colmap import component_from_colmap, mean_colours
 from skymoor.engines.options import files_of
 from skymoor.errors import InputError
 from skymoor.reconstruct._sift import SiftMatcher
-from skymoor.reconstruct.calibration import adjust, calibrate
+from skymoor.reconstruct.calibration import adjust, calibrate, widened
 from skymoor.reconstruct.doppelgangers import ConflictFilter
-from skymoor.reconstruct.graph import drop_pairs
+from skymoor.reconstruct.graph import drop_pairs, view_graph
+from skymoor.reconstruct.lens_groups import copy_with_cameras, scale_groups
+from skymoor.reconstruct.lenses import HEIGHT_SPREAD, Lens, is_own, tie_focal_lengths
 from skymoor.reconstruct.protocol import PairFilter, PairMatcher, colmap_name
 from skymoor.reconstruct.shared_intrinsics import (
     IntrinsicsOptions,
@@ -94,8 +96,11 @@ def reconstruct(
             progress(3 * n + min(n, mapped[0]), 4 * n)
 
         models = _map(database, folder, _mapping_options(options, seed), next_image)
+        lenses: list[Lens] = []
+        if not options.mixed_lenses:
+            models, database, lenses = _told_apart(models, database, folder, photos, options, seed)
         models = _improved(models, database, folder, photos, options, seed)
-    components = [_finish(model, names, photos, options) for model in models]
+    components = [_finish(model, names, photos, options, lenses) for model in models]
     progress(4 * n, 4 * n)
     return components
 
@@ -114,6 +119,27 @@ def _temporary_folder() -> Iterator[Path]:
                 raise
     except OSError as error:
         raise InputError(f"{error.filename or 'temporary files'}: {error.strerror or error}; {remedy}") from error
+
+
+def _told_apart(
+    models: list[pycolmap.Reconstruction],
+    database: Path,
+    folder: Path,
+    photos: Photos,
+    options: ReconstructOptions,
+    seed: int,
+) -> tuple[list[pycolmap.Reconstruction], Path, list[Lens]]:
+    """Models, database and lenses, where photos of one size were taken through several; else as they were."""
+    with pycolmap.Database.open(database) as db:
+        groups = scale_groups(view_graph(db, photos, ()))
+    if not groups:
+        return models, database, []
+    copy = folder / "lenses.db"
+    lenses = copy_with_cameras(database, copy, photos, groups)
+    apart = _map(copy, folder, _mapping_options(options, seed), lambda: None)
+    if not apart or not (own := [lens for lens in lenses if is_own(apart[0], lens)]):
+        return models, database, []
+    return apart, copy, own
 
 
 def _improved(
@@ -188,11 +214,18 @@ def _mapping_options(options: ReconstructOptions, seed: int) -> pycolmap.Increme
 
 
 def _finish(
-    model: pycolmap.Reconstruction, names: dict[str, str], photos: Photos, options: ReconstructOptions
+    model: pycolmap.Reconstruction,
+    names: dict[str, str],
+    photos: Photos,
+    options: ReconstructOptions,
+    lenses: Sequence[Lens],
 ) -> Component:
     """Last adjustment, calibration report and colours."""
-    adjust(model)
+    fixed = tie_focal_lengths(model, lenses)
+    adjust(model, fixed=fixed)
     calibration = calibrate(model)
+    if fixed:
+        calibration = widened(calibration, HEIGHT_SPREAD)
     # In a weak block the principal point is correlated with tilt and height.
     if calibration.shared_intrinsics and not calibration.uncertain and options.refine_principal_point:
         adjust(model, principal_point=True)

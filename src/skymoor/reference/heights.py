@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -121,8 +121,7 @@ class Dsm:
     @classmethod
     def of(cls, raster: MapRaster, source: DatasetReader, datum: str, outline: Array) -> Dsm:
         """Check the heights within `outline` (n, 2), longitudes and latitudes. Raises `InputError` for any fault."""
-        _require_heights(source, raster.path)
-        unit, notes = _unit(raster, source.units[0], datum)
+        found = cls.unchecked(raster, source, datum, outline)
         window = window_around(raster.px_from_lonlat(outline), raster.shape, (1, 1))
         assert window is not None  # the outline is within the DSM
         step = max(1, int(window.height) // STATISTICS_PX), max(1, int(window.width) // STATISTICS_PX)
@@ -132,16 +131,25 @@ class Dsm:
                 f"{raster.path}: no valid height where it overlaps the orthophoto (nodata is {source.nodata}); "
                 "check the file"
             )
-        to_ellipsoid = ellipsoid_from_datum(datum, outline[:, 1], outline[:, 0])
-        lon, lat = (float(value) for value in outline[0])
-        at_zero, at_1000 = to_ellipsoid.heights(lat, lon, [0.0, 1000.0])
-        scale = unit / unit_of_datum(datum) * float(at_1000 - at_zero) / 1000.0
+        scale = found.scale
         require_on_earth(raster.path, heights, scale)
+        lon, lat = (float(value) for value in outline[0])
         sides_m = np.linalg.norm(raster.pixel_sides_m(EnuFrame(lat, lon, 0.0)), axis=1)
         spacing = float(np.max(sides_m * step[::-1]))
         sampled = Sampled(heights * scale, spacing, source.scales[0] * scale, source.offsets[0] * scale)
         require_declared_nodata(raster.path, source, sampled)
-        return cls(raster, source, to_ellipsoid, scale, float(np.nanmedian(heights)), notes)
+        return replace(found, median=float(np.nanmedian(heights)))
+
+    @classmethod
+    def unchecked(cls, raster: MapRaster, source: DatasetReader, datum: str, outline: Array) -> Dsm:
+        """Of heights that have been checked before; nothing is read, and the median is not known."""
+        _require_heights(source, raster.path)
+        unit, notes = _unit(raster, source.units[0], datum)
+        to_ellipsoid = ellipsoid_from_datum(datum, outline[:, 1], outline[:, 0])
+        lon, lat = (float(value) for value in outline[0])
+        at_zero, at_1000 = to_ellipsoid.heights(lat, lon, [0.0, 1000.0])
+        scale = unit / unit_of_datum(datum) * float(at_1000 - at_zero) / 1000.0
+        return cls(raster, source, to_ellipsoid, scale, float("nan"), notes)
 
     def middle_m(self, lat: float, lon: float) -> float:
         return float(self.to_ellipsoid.heights(lat, lon, [0.0])[0] + self.scale * self.median)

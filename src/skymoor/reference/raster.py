@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -251,10 +251,10 @@ def block_mean(values: NDArray[Any], step: tuple[int, int]) -> NDArray[Any]:
     return means
 
 
-def clipped_to_raster(polygon: ArrayLike, raster: MapRaster) -> Array:
-    """The part (m, 2) of a polygon (n, 2) in pixels that is inside a raster; m = 0 when none is."""
+def clipped(polygon: ArrayLike, low: Sequence[float], high: Sequence[float]) -> Array:
+    """The part (m, 2) of a polygon (n, 2) between two corners of a rectangle; m = 0 when none is."""
     corners = [tuple(corner) for corner in np.asarray(polygon, dtype=np.float64) if np.isfinite(corner).all()]
-    for axis, bound, sign in ((0, 0.0, 1), (0, raster.shape[1], -1), (1, 0.0, 1), (1, raster.shape[0], -1)):
+    for axis, bound, sign in ((0, low[0], 1), (0, high[0], -1), (1, low[1], 1), (1, high[1], -1)):
         kept: list[tuple[float, ...]] = []
         for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
             inside_a, inside_b = sign * (a[axis] - bound) >= 0, sign * (b[axis] - bound) >= 0

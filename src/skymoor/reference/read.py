@@ -4,24 +4,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rasterio.io import DatasetReader
-from rasterio.windows import Window
 
 from skymoor.errors import InputError
 from skymoor.geo import UNKNOWN_HEIGHT_SIGMA_M, EnuFrame, Grid, checked_covariance
 from skymoor.geo.operations import accuracy_note, horizontal_operation
-from skymoor.reference.heights import STATISTICS_PX, Dsm, Ground, NoHeights, OneHeight, agreed_datum
+from skymoor.reference.heights import Dsm, Ground, NoHeights, OneHeight, agreed_datum
+from skymoor.reference.own_pixels import stretch_of
 from skymoor.reference.raster import (
     MapRaster,
     block_mean,
-    clipped_to_raster,
-    has_palette,
+    clipped,
     opened,
     read_colours,
     window_around,
@@ -38,7 +38,10 @@ WINDOW_PX = 2048
 # Pixels of one source in the overlap; they take ten minutes to read.
 LARGEST_OVERLAP_PX = 4e9
 MIN_SIDE_PX = 8
-STRETCH_PERCENT = (1.0, 99.0)
+UNKNOWN_ACCURACY_NOTE = (
+    "its accuracy is stated to be unknown, so what is registered to it has an accuracy relative to it alone, and "
+    "no CE90 and LE90 on Earth"
+)
 
 
 def read_reference(
@@ -49,6 +52,7 @@ def read_reference(
     *,
     max_pixels: float = 40e6,
     pixel_m: float | None = None,
+    area: Sequence[float] | None = None,
     progress: Progress = no_progress,
 ) -> Reference:
     """Read an orthophoto and a DSM, each in any CRS, into one grid in the local frame at the centre of their overlap.
@@ -56,33 +60,95 @@ def read_reference(
     In place of a DSM there may be one height in metres, or None where nothing is known of heights; the grid then
     covers the orthophoto. `vertical_datum` is the datum of the heights ("ellipsoid" or a vertical CRS such as
     "EPSG:3855"); None takes it from the DSM's CRS. `covariance` (3, 3) is the reference's accuracy in m^2,
-    east-north-up; the errors of PROJ's transformations are added to it, and `Reference.notes` say so. The grid's
-    pixel is the orthophoto's, or `pixel_m` if that is coarser, and larger if needed to stay below `max_pixels`. Sources
-    are read tile by tile, so that memory depends on `max_pixels` and not on their size (docs/limits.md).
+    east-north-up, or `UNKNOWN_ACCURACY`; the errors of PROJ's transformations are added to it, and `Reference.notes`
+    say so. The grid's pixel is the orthophoto's, or `pixel_m` if that is coarser, and larger if needed to stay below
+    `max_pixels`. Sources are read tile by tile, so that memory depends on `max_pixels` and not on their size
+    (docs/limits.md). `area`, (west, south, east, north) in degrees, leaves out what lies beyond.
     Raises `InputError`, one line that names the file and the remedy, for every fault of the input.
     """
-    covariance, ortho = checked_covariance(covariance), Path(ortho)
-    colours = MapRaster.of(ortho)
-    height_m = float(dsm) if isinstance(dsm, int | float) else None
-    surface = None if dsm is None or isinstance(dsm, int | float) else _another(ortho, Path(dsm))
-    maps = [colours] if surface is None else [colours, surface]
+    stated = np.asarray(covariance, dtype=np.float64)
+    covariance = stated if np.isnan(stated).all() else checked_covariance(covariance)
+    maps = _maps(ortho, dsm)
+    outline = _outline(maps, area)
+    with _opened(maps, dsm, vertical_datum, outline) as (source, ground):
+        frame = _frame(outline, ground)
+        grid = _grid(frame, maps[0], outline, max_pixels, pixel_m)
+        rgb, mask, height = _resampled(source, maps, ground, frame, grid, progress)
+        _require_data(maps, mask, np.isfinite(height))
+        total, notes = _accuracy(covariance, maps, ground, frame)
+        finest_m = max(maps[0].pixel_m(frame), pixel_m or 0.0)
+    crs, dsm_pixel_m = maps[0].crs.to_wkt(), ground.pixel_m(frame)
+    found = Reference(frame, grid, rgb, mask, height, total, dsm_pixel_m, crs, notes, finest_m)
+    return replace(found, notes=(*notes, _detail_lost(maps[0], grid.pixel_m, finest_m))) if found.detail_lost else found
+
+
+def read_part(
+    ortho: Path, dsm: Path | float | None, vertical_datum: str | None, whole: Reference, bounds_m: Sequence[float]
+) -> Reference:
+    """A part of a reference read again at the pixel of its orthophoto, in the frame of the whole.
+
+    `ortho`, `dsm` and `vertical_datum` are those that `whole` was read from; `bounds_m` are west, south, east and north
+    in its frame, and what lies beyond the whole is left out. Raises `InputError` where the files have changed.
+    """
+    maps, pixel = _maps(ortho, dsm), whole.finest_m
+    bounds = np.array(
+        [*np.maximum(bounds_m[:2], whole.grid.bounds[:2]), *np.minimum(bounds_m[2:], whole.grid.bounds[2:])]
+    )
+    shape = (max(1, round((bounds[3] - bounds[1]) / pixel)), max(1, round((bounds[2] - bounds[0]) / pixel)))
+    grid = Grid(float(bounds[0]), float(bounds[3]), pixel, shape)
+    with _opened(maps, dsm, vertical_datum, _outline(maps), Dsm.unchecked) as (source, ground):
+        rgb, mask, height = _resampled(source, maps, ground, whole.frame, grid, no_progress)
+    return replace(whole, grid=grid, rgb=rgb, mask=mask, height=height, notes=())
+
+
+def _maps(ortho: Path, dsm: Path | float | None) -> list[MapRaster]:
+    """The rasters of a reference: the orthophoto, and the DSM where it is one."""
+    colours = MapRaster.of(Path(ortho))
+    return [colours] if dsm is None or isinstance(dsm, int | float) else [colours, _another(colours.path, Path(dsm))]
+
+
+def _outline(maps: Sequence[MapRaster], area: Sequence[float] | None = None) -> Array:
+    """Outline (n, 2) in longitude and latitude of what all rasters cover, and of that the part in `area`."""
+    outline = _overlap(*maps) if len(maps) == 2 else maps[0].lonlat_from_px(maps[0].border_px())
+    if area is not None:
+        outline = clipped(outline, area[:2], area[2:])
+        if len(outline) < 3:
+            west, south, east, north = area
+            raise InputError(
+                f"the area (latitude {south:g} to {north:g}, longitude {west:g} to {east:g}) has nothing in common "
+                f"with the reference: {maps[0].extent()}; check --area or --near, and the orthophoto"
+            )
+    _require_readable_size(maps, outline)
+    return outline
+
+
+@contextmanager
+def _opened(
+    maps: Sequence[MapRaster],
+    dsm: Path | float | None,
+    vertical_datum: str | None,
+    outline: Array,
+    dsm_of: Callable[[MapRaster, DatasetReader, str, Array], Dsm] = Dsm.of,
+) -> Iterator[tuple[DatasetReader, Ground]]:
+    """The open orthophoto, and what says how high the ground is."""
     with ExitStack() as stack:
         ground: Ground
-        if surface is not None:
-            datum, outline = agreed_datum(surface, vertical_datum), _overlap(colours, surface)
-            _require_readable_size(maps, outline)
-            ground = Dsm.of(surface, stack.enter_context(opened(surface.path)), datum, outline)
+        if len(maps) == 2:
+            datum = agreed_datum(maps[1], vertical_datum)
+            ground = dsm_of(maps[1], stack.enter_context(opened(maps[1].path)), datum, outline)
+        elif isinstance(dsm, int | float):
+            ground = OneHeight.of(float(dsm), vertical_datum, outline)
         else:
-            outline = colours.lonlat_from_px(colours.border_px())
-            _require_readable_size(maps, outline)
-            ground = NoHeights.beside(ortho) if height_m is None else OneHeight.of(height_m, vertical_datum, outline)
-        frame = _frame(outline, ground)
-        grid = _grid(frame, colours, outline, max_pixels, pixel_m)
-        source = stack.enter_context(opened(ortho))
-        rgb, mask, height = _resampled(source, maps, ground, frame, grid, progress)
-    _require_data(maps, mask, np.isfinite(height))
-    total, notes = _accuracy(covariance, maps, ground, frame)
-    return Reference(frame, grid, rgb, mask, height, total, ground.pixel_m(frame), colours.crs.to_wkt(), notes)
+            ground = NoHeights.beside(maps[0].path)
+        yield stack.enter_context(opened(maps[0].path)), ground
+
+
+def _detail_lost(ortho: MapRaster, pixel_m: float, finest_m: float) -> str:
+    return (
+        f"{ortho.path}: has pixels of {finest_m:.2g} m, but its area is so large that places are searched at "
+        f"{pixel_m:.2g} m; those that are found are read again at {finest_m:.2g} m. If you know the area, --area or "
+        "--near searches it in all detail"
+    )
 
 
 def _another(ortho: Path, dsm: Path) -> MapRaster:
@@ -94,7 +160,7 @@ def _another(ortho: Path, dsm: Path) -> MapRaster:
 def _overlap(ortho: MapRaster, dsm: MapRaster) -> Array:
     """Outline (n, 2) of the common area in longitude and latitude."""
     border = ortho.lonlat_from_px(ortho.border_px())
-    polygon = clipped_to_raster(dsm.px_from_lonlat(border), dsm)
+    polygon = clipped(dsm.px_from_lonlat(border), (0, 0), dsm.shape[::-1])
     if len(polygon) < 3:
         raise InputError(f"orthophoto and DSM do not overlap: {ortho.extent()}; {dsm.extent()}; check both files")
     # The corners after clipping are far apart, and straight lines in one CRS are curves in another.
@@ -135,7 +201,7 @@ def _resampled(
     progress: Progress,
 ) -> tuple[Image, Mask, Array32]:
     """Colours, where they are valid, and heights of the whole grid, tile by tile."""
-    stretch = _stretch(source, maps[0])
+    stretch = stretch_of(source, maps[0])
     rgb, mask = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
     height = np.full(grid.shape, np.nan, np.float32)
     tiles = list(_tiles(grid.shape, _tile_px(maps, frame, grid)))
@@ -164,6 +230,8 @@ def _accuracy(
     if isinstance(ground, NoHeights):
         total[2, :] = total[:, 2] = 0.0
         total[2, 2] = UNKNOWN_HEIGHT_SIGMA_M**2
+    if np.isnan(covariance).all():
+        notes.append(f"{maps[0].path}: {UNKNOWN_ACCURACY_NOTE}")
     return total, (*ground.notes, *filter(None, notes))
 
 
@@ -197,20 +265,6 @@ def _tiles(shape: tuple[int, int], side: int) -> Iterator[tuple[slice, slice]]:
     for top in range(0, shape[0], side):
         for left in range(0, shape[1], side):
             yield slice(top, min(top + side, shape[0])), slice(left, min(left + side, shape[1]))
-
-
-def _stretch(source: DatasetReader, raster: MapRaster) -> Callable[[Array32], Array32]:
-    """The stretch to 0..255: none for 8 bits, else linear over the middle 98 % of all valid values of all bands."""
-    if has_palette(source) or all(kind == "uint8" for kind in source.dtypes):
-        return lambda colours: colours
-    rows, columns = raster.shape
-    step = max(1, rows // STATISTICS_PX), max(1, columns // STATISTICS_PX)
-    colours, valid = read_colours(source, Window(0, 0, columns, rows), step)
-    if not valid.any():
-        raise InputError(f"{raster.path}: the orthophoto has no valid pixel; check its nodata value and mask")
-    low, high = (float(value) for value in np.percentile(colours[valid > 0], STRETCH_PERCENT))
-    gain = 255.0 / max(high - low, 1e-12)
-    return lambda colours: np.clip((colours - low) * gain, 0.0, 255.0).astype(np.float32)
 
 
 def _require_readable_size(maps: Sequence[MapRaster], outline: Array) -> None:

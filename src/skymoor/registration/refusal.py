@@ -26,6 +26,7 @@ def decide(
     *,
     agreement: Agreement | None = None,
     decoys: Sequence[NullSample] = (),
+    full_score: float | None = None,
 ) -> Registration:
     """The registration with all criteria that were checked, accepted or refused with the first that failed.
 
@@ -40,6 +41,8 @@ def decide(
         options: thresholds.
         agreement: independent cells in which the matches agree with the transform; None where there is none.
         decoys: what decoys reached; without them `min_score` is the only limit on the score alone.
+        full_score: in all detail of the orthophoto, where the search had a coarser one: scores grow with the number of
+            pixels, and `min_score` is for this one.
     """
     options = options or RegisterOptions()
     best, second = scores[0], max(scores[1:], default=0.0)
@@ -52,7 +55,7 @@ def decide(
         "cells": float(agreement.agreeing),
         "covered_cells": float(agreement.covered),
     }
-    criteria = [criterion("match_score", best, options.min_score)]
+    criteria = [criterion("match_score", best if full_score is None else full_score, options.min_score)]
     if decoys:
         of_cells = agreement_probability(agreement, [decoy.agreement for decoy in decoys])
         probability = combined_probability([false_alarm_probability(best, [decoy.score for decoy in decoys]), of_cells])

@@ -22,6 +22,8 @@ __all__ = ["FORMATS", "chosen_formats", "export"]
 NOTE = "export.json"
 WITH_HEIGHTS = ("colmap", "nerfstudio", "laz", "cog", "ply", "gltf", "odm")
 """Formats that cannot do without."""
+CREDITS = ("licence", "credit", "date", "ortho_source", "dsm_source")
+"""What a user of the export must know of the reference, as in summary.json."""
 RELATIVE = "NOT_CONFIRMED: relative to the model's ground, or to a reference that contradicts the photos"
 
 
@@ -70,13 +72,17 @@ def _fill(source: Source, name: str, folder: Path) -> None:
         heights = RELATIVE if name in WITH_HEIGHTS else "none where they are NOT_CONFIRMED"
         source.notes.append(f"heights: {heights}")
     files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    about = {"skymoor": __version__, "format": name, "heights": heights, "files": files}
+    about: dict[str, object] = {"skymoor": __version__, "format": name, "heights": heights, "files": files}
+    reference = {key: value for key in CREDITS if (value := source.result.summary["reference"].get(key))}
+    about |= {"reference": reference} if reference else {}
     (folder / NOTE).write_text(json.dumps(about, indent=1), encoding="utf-8")
 
 
 def _require_out(result: Result, out: Path) -> None:
     where, run = out.resolve(), result.folder.resolve()
-    folders = [Path(one["folder"]).resolve() for one in result.summary["sets"] if "folder" in one]
+    sources = [source["path"] for one in result.summary["sets"] for source in one.get("sources", ())]
+    former = [one["folder"] for one in result.summary["sets"] if "folder" in one]
+    folders = [Path(path).resolve() for path in dict.fromkeys([*former, *sources])]
     for folder in folders:
         if folder.is_relative_to(where) or where.is_relative_to(folder):
             raise InputError(f"{out}: holds the photos of {folder} or lies in them; give another folder with --out")

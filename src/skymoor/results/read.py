@@ -15,7 +15,7 @@ import numpy as np
 from skymoor.engines.libraries import require
 from skymoor.errors import InputError
 from skymoor.evaluate import EvaluationRow, evaluate
-from skymoor.geo import EnuFrame
+from skymoor.geo import UNKNOWN_ACCURACY, EnuFrame
 from skymoor.geometry import Similarity
 from skymoor.results.report.table import summary_html
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow, read_camera_rows, read_cameras_csv, read_truth_csv
@@ -82,7 +82,7 @@ class Result:
         folder: of the run.
         summary: summary.json, as it is.
         frame: of all ENU positions.
-        covariance: of the reference (3, 3), m^2, east-north-up.
+        covariance: of the reference (3, 3), m^2, east-north-up; NaN where its accuracy is unknown.
         components: of all sets, in the order of the summary.
     """
 
@@ -100,7 +100,8 @@ class Result:
             summary = json.loads(path.read_text(encoding="utf-8"))
             origin = summary["enu_origin"]
             frame = EnuFrame(float(origin["lat"]), float(origin["lon"]), float(origin["height"]))
-            covariance = np.array(summary["reference"]["covariance_m2"], dtype=np.float64)
+            stated = summary["reference"]["covariance_m2"]
+            covariance = UNKNOWN_ACCURACY if stated is None else np.array(stated, dtype=np.float64)
             components = tuple(_component(one["set"], part) for one in summary["sets"] for part in one["components"])
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise InputError(f"{path}: no summary of a finished run ({error}); {RUN_FIRST}") from error
@@ -136,9 +137,12 @@ class Result:
 
     def photo(self, image: str) -> Path:
         """The file of a photo by its name in cameras.csv. Raises `InputError` when it is not where it was."""
-        folders = {one["set"]: Path(one["folder"]) for one in self.summary["sets"] if "folder" in one}
+        from skymoor.store import FRAMES  # here, since results are read without what makes them
+
         known = next((row.set for row in self.cameras if row.image == image), None)
-        path = folders[known] / PurePosixPath(image).name if known in folders else None
+        places = [place for one in self.summary["sets"] if one["set"] == known for place in _places(one, image)]
+        places.append(self.folder / FRAMES / image)
+        path = next((place for place in places if place.is_file()), places[0] if len(places) > 1 else None)
         if path is None or not path.is_file():
             raise InputError(f"{path or image}: the photo is not where the run found it; put it back, or {RUN_FIRST}")
         return path
@@ -165,7 +169,8 @@ class Result:
     def evaluate(self, truth: Path | str) -> list[EvaluationRow]:
         """Errors against truth.csv (`image,lat,lon,height`), metres, one row for each set and component.
 
-        Raises `InputError` when the table cannot be read, or does not know a registered camera.
+        Cameras that the table does not know are counted. Raises `InputError` when it cannot be read, or knows none of
+        the registered ones.
         """
         estimates, truths = read_cameras_csv(self.folder / "cameras.csv"), read_truth_csv(Path(truth))
         return evaluate(estimates, truths, self.frame, self.covariance, self.scene_centres())
@@ -192,6 +197,15 @@ class Result:
 
     def _repr_html_(self) -> str:
         return summary_html(self.summary)
+
+
+def _places(image_set: dict[str, Any], image: str) -> list[Path]:
+    """Where a photo of a set may lie by its name: in one of the folders that the set is made of."""
+    if "sources" not in image_set:  # of a former version, which read no sub-folders
+        return [Path(image_set["folder"]) / PurePosixPath(image).name] if "folder" in image_set else []
+    sources = [(Path(one["path"]), PurePosixPath(one["name"])) for one in image_set["sources"]]
+    name = PurePosixPath(image)
+    return [folder / name.relative_to(prefix) for folder, prefix in sources if name.is_relative_to(prefix)]
 
 
 def _component(set_name: str, summary: dict[str, Any]) -> ComponentSummary:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from skymoor.match.overlay import warp_to_grid
 from skymoor.pipeline.job import ComponentResult
 from skymoor.pipeline.option_parser import option_values
 from skymoor.pipeline.options import MatchOptions, Options
+from skymoor.pipeline.photo_sets import or_too_few
 from skymoor.pipeline.site import Site
 from skymoor.registration import CameraAccuracy, camera_accuracy
 from skymoor.results.formats import (
@@ -37,20 +38,24 @@ from skymoor.results.report.renderings import (
     residual_figure,
 )
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow
-from skymoor.store import Store
-from skymoor.types import Array, HeightStatus, Progress, Reference, no_progress
+from skymoor.sources.addresses import public_address
+from skymoor.store import Store, name_prefix
+from skymoor.types import Array, HeightStatus, Progress, Reference, Render, no_progress
 
+NO_COMPONENT = "no three photos have enough matches to be reconstructed together"
 REGISTERED, NOT_REGISTERED = "REGISTERED", "NOT_REGISTERED"
+SHOWN_AROUND, SHOWN_PX = 0.3, 40  # of the reference around the matches in pictures: share of their extent, and pixels
 
 
 @dataclass(frozen=True, eq=False)
 class SetResult:
-    """A set of photos: its name, folder, names of images, and the results of its components."""
+    """A set of photos: name, folders and videos, names of images, results of its components, notes on its files."""
 
     name: str
-    folder: Path
+    sources: Sequence[Path]
     images: Sequence[str]
     components: Sequence[ComponentResult]
+    notes: Sequence[str] = ()
 
 
 def accuracy_of(item: ComponentResult, reference: Reference) -> CameraAccuracy:
@@ -111,17 +116,33 @@ def write_products(
             "ortho": site.reference.ortho.resolve(),
             "dsm": dsm.resolve() if isinstance(dsm := site.reference.dsm, Path) else dsm,
             "vertical_datum": site.reference.vertical_datum,
-            "covariance_m2": reference.covariance,
+            **credits_of(site),
+            "covariance_m2": reference.covariance if reference.accuracy_known else None,
+            "accuracy": "stated" if reference.accuracy_known else "unknown",
             "pixel_m": reference.grid.pixel_m,
             "notes": list(reference.notes),
         },
         "enu_origin": georeference(reference.frame, Similarity.identity())["enu_origin"],
         "provenance": provenance,
-        "sets": [_set_summary(found, reference) for found in sets],
+        "sets": [_set_summary(found, reference, site.root) for found in sets],
         "stages": [asdict(record) for record in store.records],
     }
     store.write_json("summary.json", summary)
     return summary
+
+
+def credits_of(site: Site) -> dict[str, str | None]:
+    """Licence, credit and date of the reference, and its addresses without keys; None where nothing is stated."""
+    files, sources = site.reference, site.addressed
+    shown = (None, None) if sources is None else (sources.ortho, sources.dsm)
+    ortho, dsm = (None if one is None else public_address(one) for one in shown)
+    return {
+        "licence": files.licence,
+        "credit": files.credit,
+        "date": files.date,
+        "ortho_source": ortho,
+        "dsm_source": dsm,
+    }
 
 
 def camera_rows(found: SetResult, reference: Reference) -> list[CameraRow]:
@@ -145,14 +166,16 @@ def _height_status(item: ComponentResult) -> HeightStatus | None:
     return None if item.heights is None or not item.registration.registered else item.heights.status
 
 
-def _set_summary(found: SetResult, reference: Reference) -> dict[str, Any]:
+def _set_summary(found: SetResult, reference: Reference, root: Path) -> dict[str, Any]:
     taken = {camera.image for item in found.components for camera in item.component.cameras}
     good = bool(found.components) and all(item.registration.registered for item in found.components)
     return {
         "set": found.name,
-        "folder": found.folder.resolve(),
+        "folder": found.sources[0].resolve(),
+        "sources": [{"path": path.resolve(), "name": name_prefix(path, root).as_posix()} for path in found.sources],
+        "notes": list(found.notes),
         "status": REGISTERED if good else NOT_REGISTERED,
-        "reason": "" if found.components else "no two photos have enough matches",
+        "reason": "" if found.components else or_too_few(NO_COMPONENT, len(found.images)),
         "n_images": len(found.images),
         "n_images_reconstructed": len(taken.intersection(found.images)),
         "components": [_component_summary(k, item, reference) for k, item in enumerate(found.components)],
@@ -168,6 +191,7 @@ def _component_summary(index: int, item: ComponentResult, reference: Reference) 
         "reason": found.reason,
         "criteria": [asdict(one) for one in found.criteria],
         "n_cameras": len(item.component.cameras),
+        "n_lenses": len({camera.intrinsics for camera in item.component.cameras}),
         "n_matches": found.n_matches,
         "n_inliers": found.n_inliers,
         "inlier_ratio": found.inlier_ratio,
@@ -237,6 +261,15 @@ def _write_component(
         store.remove(f"colmap/{name}")
 
 
+def _around(px: Array, render: Render, reference: Reference) -> Reference:
+    """The part of the reference around matches (n, 2) that pictures show: a large one is not drawn whole."""
+    if not len(px):
+        return reference
+    plan = reference.grid.enu_from_px(px)
+    margin = SHOWN_AROUND * float(np.ptp(plan, axis=0).max()) + SHOWN_PX * reference.grid.pixel_m
+    return reference.part([*(plan.min(axis=0) - margin), *(plan.max(axis=0) + margin)])
+
+
 def _write_pictures(
     name: str, item: ComponentResult, reference: Reference, options: MatchOptions, store: Store
 ) -> None:
@@ -254,7 +287,9 @@ def _write_pictures(
     if item.matches is None:
         return
     pixels = item.matches.pixels
-    figure = match_figure(render.rgb, reference.rgb, pixels, found.inliers)
+    part = _around(pixels.px_b, render, reference)
+    shown = replace(pixels, px_b=part.grid.px_from_enu(reference.grid.enu_from_px(pixels.px_b)))
+    figure = match_figure(render.rgb, part.rgb, shown, found.inliers)
     store.write_png(f"matches/{name}_matches.png", figure)
     inliers = np.zeros(len(pixels), bool) if found.inliers is None else found.inliers
     residuals = np.full((len(pixels), 3), np.nan) if found.residuals_m is None else found.residuals_m
@@ -271,7 +306,7 @@ def _write_pictures(
     if found.enu_from_level is None or found.residuals_m is None:
         return
     pixel_m = reference.grid.pixel_m
-    warped, _ = warp_to_grid(render, found.enu_from_level, reference.grid, options.min_height_confidence)
-    store.write_png(f"matches/{name}_overlay.png", overlay_figure(warped, reference.rgb, pixel_m=pixel_m))
-    arrows = residual_figure(reference.rgb, pixels.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
+    warped, _ = warp_to_grid(render, found.enu_from_level, part.grid, options.min_height_confidence)
+    store.write_png(f"matches/{name}_overlay.png", overlay_figure(warped, part.rgb, pixel_m=pixel_m))
+    arrows = residual_figure(part.rgb, shown.px_b, found.residuals_m, inliers, pixel_m=pixel_m)
     store.write_png(f"matches/{name}_residuals.png", arrows)

@@ -7,7 +7,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
@@ -59,9 +59,28 @@ def atomic_folder(target: Path, fill: Callable[[Path], object]) -> None:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def atomic_files(folder: Path, names: Sequence[str], fill: Callable[[Path], object]) -> None:
+    """Let `fill` write files into a new folder, then move those of `names`, in this order, into `folder`."""
+    with disk_errors(folder):
+        was_there = folder.exists()
+        folder.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=PREFIX, suffix=SUFFIX, dir=folder))
+    try:
+        with disk_errors(folder):
+            fill(temporary)
+            for name in names:
+                (temporary / name).replace(folder / name)
+            _sync_folder(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        if not was_there:
+            with suppress(OSError):  # only an empty one goes
+                folder.rmdir()
+
+
 def remove_leftovers(root: Path) -> None:
-    """Delete what a killed run left half-written, down to two folders below `root`."""
-    for pattern in ("", "*/", "*/*/"):
+    """Delete what a killed run left half-written, down to two folders below `root`, and in that of frames."""
+    for pattern in ("", "*/", "*/*/", "frames/**/"):
         for path in root.glob(f"{pattern}{PREFIX}*{SUFFIX}"):
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)

@@ -30,10 +30,19 @@ from skymoor.store._cache import KEY_LENGTH, STAGES, Corrupt, read_cache, write_
 from skymoor.store._closure import defining_modules, fingerprint, name_of
 from skymoor.store._digest import digest, parts_of
 from skymoor.store._files import FileDigests
-from skymoor.store._lock import LOCK, lock_folder
+from skymoor.store._lock import lock_folder
+from skymoor.store._marks import FRAMES, require_no_others_files
 from skymoor.store._memory import peak_mib, reset_peak
-from skymoor.store._photos import check_photos, photo_files, photos_from_sizes
 from skymoor.store._plain import plain
+from skymoor.store.photos import (
+    FoundFiles,
+    PhotoFile,
+    VideoOptions,
+    check_photos,
+    photos_of,
+    require_enough,
+    write_frames,
+)
 from skymoor.types import Photos, Progress, no_progress
 
 T = TypeVar("T")
@@ -41,23 +50,6 @@ T = TypeVar("T")
 LOG = logging.getLogger("skymoor")
 UNCOUNTED = ("progress", "checkpoint")
 """Options of stages that change how the work goes on, and not what comes of it."""
-
-PRODUCTS = (
-    *(
-        "summary.json",
-        "cameras.csv",
-        "cameras.geojson",
-        "colmap",
-        "pointcloud.laz",
-        "ortho.tif",
-        "dsm.tif",
-        "confidence.tif",
-    ),
-    *("renders", "matches", "evaluation.json", "report.html", "run.log", STAGES),
-)
-"""What skymoor writes into a run directory, or deletes from it."""
-MARKS = (LOCK, "summary.json", STAGES)
-"""By one of these a folder is known as a run directory."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +83,7 @@ class Store:
         with disk_errors(out):
             if out.exists() and not out.is_dir():
                 raise InputError(f"{out}: is a file; give a folder for the results with --out")
-            _require_no_others_files(out)
+            require_no_others_files(out)
             (out / STAGES).mkdir(parents=True, exist_ok=True)
         lock = lock_folder(out, note)
         try:
@@ -141,15 +133,41 @@ class Store:
         key = self._key(function, given, sorted(options), depends_on)
         return self._kept(name, key, lambda: function(*inputs, **options))
 
-    def photos(self, name: str, folder: Path, root: Path, progress: Progress = no_progress) -> Photos:
-        """`open_photos`, where the slow check of every file is the stage `name` and is not repeated when resuming.
+    def photos(
+        self, name: str, found: FoundFiles, video: VideoOptions | None = None, progress: Progress = no_progress
+    ) -> Photos:
+        """The photos of a set; the slow check of every file is the stage `name` and is not repeated when resuming.
 
-        Stages that read the photos depend on their names and content, wherever the folder lies.
+        Frames of videos are written to the folder frames/ of the run, named as the video and the frame's number, by a
+        stage for each video. Stages that read the photos depend on their names and content, wherever the folder lies.
+
+        Raises `InputError` as `open_photos` and `write_frames`, and for fewer than 3 photos and frames together.
         """
-        content = tuple((file.name, self.files.sha256(file)) for file in photo_files(folder))
+        files = list(found.photos)
+        for k, one in enumerate(found.videos):
+            files += self._frames(f"{name}.video{k}", one, video or VideoOptions(), progress)
+        where = ", ".join(one.name for one in found.videos) or name
+        require_enough(where, len(files), found.notes)
+        content = tuple((file.name, self.files.sha256(file.path)) for file in files)
         key = self._key(check_photos, [content], [], None)
-        sizes = self._kept(name, key, lambda: check_photos(folder, progress))
-        return photos_from_sizes(folder, root, sizes, content)
+        sizes = self._kept(name, key, lambda: check_photos(files, progress))
+        return photos_of(files, sizes, content)
+
+    def _frames(self, name: str, video: PhotoFile, options: VideoOptions, progress: Progress) -> list[PhotoFile]:
+        """The chosen frames of a video; written again where they are no longer what was written."""
+        folder = self.path(FRAMES, video.name)
+
+        def stamped(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
+            return tuple((one, self.files.sha256(folder / one)) for one in names)
+
+        def written() -> tuple[tuple[str, str], ...]:
+            names: list[str] = []
+            atomic_folder(folder, lambda fresh: names.extend(write_frames(video.path, fresh, options, progress)))
+            return stamped(names)
+
+        key = self._key(write_frames, [video.path, video.name, options], [], None)
+        frames = self._kept(name, key, written, lambda kept: kept == stamped(one for one, _ in kept))
+        return [PhotoFile(f"{video.name}/{one}", folder / one) for one, _ in frames]
 
     def _key(
         self, function: Callable[..., object], given: Sequence[object], names: Sequence[str], extra: object
@@ -160,13 +178,13 @@ class Store:
         code = fingerprint(defining_modules(function, parts))
         return digest([code, name_of(function), settings, given, names, read, extra], self.files.sha256)
 
-    def _kept(self, name: str, key: str, compute: Callable[[], T]) -> T:
-        """The result that is kept under this key, else that of `compute`, kept."""
+    def _kept(self, name: str, key: str, compute: Callable[[], T], still: Callable[[T], bool] = lambda _: True) -> T:
+        """The result that is kept under this key and is `still` valid, else that of `compute`, kept."""
         if not re.fullmatch(r"[a-z0-9][a-z0-9_.-]*", name) or name in self._records:
             raise ValueError(f"stage name {name!r} is not usable or was used before")
         file = self.root / STAGES / f"{name}-{key[:KEY_LENGTH]}.npz"
         cached = self._cached(name, key, file)
-        if cached is not None:
+        if cached is not None and still(cached[1]):
             record, value = cached
             LOG.info("%s: from the cache", name)
         else:
@@ -276,19 +294,3 @@ class Store:
             if other != file and pattern.fullmatch(other.name):
                 with suppress(OSError):  # room that is not won back is no reason to stop
                     other.unlink(missing_ok=True)
-
-
-def is_run(folder: Path) -> bool:
-    """Whether a folder has a trace of a run."""
-    return any((folder / mark).exists() for mark in MARKS)
-
-
-def _require_no_others_files(out: Path) -> None:
-    """A folder without a trace of a run may hold an ortho.tif, but then it is not skymoor's to replace or delete."""
-    if is_run(out):
-        return
-    for name in PRODUCTS:
-        if (out / name).exists():
-            raise InputError(
-                f"{out / name}: is not of a run, and a run would replace it; give another folder with --out"
-            )

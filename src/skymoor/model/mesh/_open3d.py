@@ -12,6 +12,8 @@ from skymoor.engines.raycast import open3d
 from skymoor.errors import DegenerateGeometry
 from skymoor.types import Array32, DepthMap, Progress
 
+NO_SURFACE = "the depth maps have no common surface"
+
 
 def fuse_mesh(
     maps: Sequence[DepthMap],
@@ -49,7 +51,7 @@ def fuse_mesh(
     try:
         mesh = volume.extract_triangle_mesh(weight_threshold=min_weight)
     except RuntimeError as error:  # raised by Open3D for an empty mesh
-        raise DegenerateGeometry("the depth maps have no common surface") from error
+        raise DegenerateGeometry(NO_SURFACE) from error
     if "positions" not in mesh.vertex or "indices" not in mesh.triangle or not len(mesh.triangle.indices):
-        raise DegenerateGeometry("the depth maps have no common surface")
+        raise DegenerateGeometry(NO_SURFACE)
     return mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy().astype(np.int32)

@@ -25,7 +25,7 @@ from skymoor.results.formats.geopackage import cameras_geopackage
 from skymoor.results.formats.gltf import height_field, mesh_glb, tileset
 from skymoor.results.formats.kml import cameras_kml
 from skymoor.results.formats.nerfstudio import nerfstudio_transforms
-from skymoor.results.formats.odm import odm_gcp_list, odm_geo
+from skymoor.results.formats.odm import odm_gcp_list, odm_geo, odm_names
 from skymoor.results.formats.ply import pointcloud_ply
 from skymoor.results.read import RUN_FIRST
 from skymoor.types import Array, Image, Mask
@@ -159,14 +159,23 @@ def _exif(source: Source, folder: Path) -> str:
 def _odm(source: Source, folder: Path) -> str:
     # One project for each set: ODM knows photos by their bare names, which two folders may share.
     marks: dict[str, str] = {row.set: "" for row in source.rows}
+    names = {name: odm_names(row.image for row in source.rows if row.set == name) for name in marks}
     for part, component in source.components():
-        marks[part.image_set] = marks.get(part.image_set, "") + odm_gcp_list(component, source.result.frame, part.name)
-    for name, lines in marks.items():
+        called = names.setdefault(part.image_set, odm_names(camera.image for camera in component.cameras))
+        lines = odm_gcp_list(component, source.result.frame, part.name, called)
+        marks[part.image_set] = marks.get(part.image_set, "") + lines
+    for name, marked in marks.items():
         (folder / name).mkdir()
         own = [row for row in source.rows if row.set == name]
-        (folder / name / "geo.txt").write_text(odm_geo(own), encoding="utf-8")
-        (folder / name / "gcp_list.txt").write_text("EPSG:4326\n" + lines, encoding="utf-8")
+        (folder / name / "geo.txt").write_text(odm_geo(own, names[name]), encoding="utf-8")
+        (folder / name / "gcp_list.txt").write_text("EPSG:4326\n" + marked, encoding="utf-8")
     source.notes.append(f"heights are {ELLIPSOID}")
+    renamed = [new for called in names.values() for image, new in called.items() if new != PurePosixPath(image).name]
+    if renamed:
+        source.notes.append(
+            f"{len(renamed)} photos have the name of another in a sub-folder: the lists put the folder before it "
+            f"({renamed[0]}); rename the copies that ODM gets"
+        )
     return ELLIPSOID
 
 

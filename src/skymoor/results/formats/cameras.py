@@ -25,8 +25,8 @@ def placed_cameras(
 ) -> list[CameraRow]:
     """Rows of a registered component, whose cameras are in ENU.
 
-    `accuracy_m` (4,), or (n, 4) for n cameras, is CE90 and LE90, and both without the error of the reference. Where
-    `heights` are not confirmed, none is written: a number would be used.
+    `accuracy_m` (4,), or (n, 4) for n cameras, is CE90 and LE90, and both without the error of the reference; NaN where
+    that is unknown. Where `heights` are not confirmed, none is written: a number would be used.
     """
     if not cameras_enu:
         return []
@@ -34,10 +34,11 @@ def placed_cameras(
     lla = frame.lla_from_enu(enu)
     quaternions = np.array([camera.cam_from_world.quaternion_wxyz for camera in cameras_enu])
     accuracy = np.broadcast_to(np.asarray(accuracy_m, float), (len(enu), 4))
-    numbers = np.hstack([lla, enu, quaternions, accuracy]).tolist()
+    poses = np.hstack([lla, enu, quaternions]).tolist()
+    known = [[None if np.isnan(value) else value for value in row] for row in accuracy.tolist()]
     rows = [
-        replace(CameraRow(camera.image, set_name, component, "REGISTERED", *row), heights=heights)
-        for camera, row in zip(cameras_enu, numbers, strict=True)
+        replace(CameraRow(camera.image, set_name, component, "REGISTERED", *pose, *figures), heights=heights)
+        for camera, pose, figures in zip(cameras_enu, poses, known, strict=True)
     ]
     if heights == "NOT_CONFIRMED":
         return [replace(row, height=None, le90=None, relative_le90=None) for row in rows]

@@ -40,16 +40,17 @@ def verdict(component: ComponentSummary) -> str:
     """The expected accuracy, or why the component was refused."""
     if not component.registered:
         return f"Refused: {component.reason or 'no reason was given'}."
-    if component.ce90_m is None:
+    horizontal, vertical = (component.summary.get(f"predicted_relative_{name}_m") for name in ("ce90", "le90"))
+    if component.ce90_m is None and horizontal is None:
         return "Registered; this run did not predict an accuracy."
+    relative = "" if horizontal is None else f"{horizontal:.2f} m" + (f" and {vertical:.2f} m" if vertical else "")
+    if component.ce90_m is None:
+        words = f"Expected accuracy (90 %) relative to the reference, whose own accuracy is unknown: {relative}."
+        return f"{words} {height_words(component)}".rstrip()
     words = f"Expected accuracy (90 %): {component.ce90_m:.1f} m horizontal (CE90)"
     words += "." if component.le90_m is None else f", {component.le90_m:.1f} m vertical (LE90)."
-    relative = component.summary.get("predicted_relative_ce90_m"), component.summary.get("predicted_relative_le90_m")
-    if None not in relative:
-        words += (
-            f" Without the error of the reference, which all its cameras share: {relative[0]:.2f} m and "
-            f"{relative[1]:.2f} m."
-        )
+    if horizontal is not None and vertical is not None:
+        words += f" Without the error of the reference, which all its cameras share: {relative}."
     return f"{words} {height_words(component)}".rstrip()
 
 

@@ -12,7 +12,6 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from PIL import Image as Pillow
 
 from skymoor.engines.libraries import require
 from skymoor.engines.tensors import fitted
@@ -20,6 +19,7 @@ from skymoor.errors import InputError
 from skymoor.results.read import Result
 from skymoor.results.report.words import number
 from skymoor.results.viewer.scene import Frustum, Layer, Scene, scene_of
+from skymoor.store import open_image
 from skymoor.types import Image
 
 HOST = "127.0.0.1"  # to show a site in a network, forward the port
@@ -140,7 +140,7 @@ class _Details:
 
     def _image(self, one: Frustum, side_px: int) -> Image | None:
         try:
-            with Pillow.open(self._result.photo(one.row.image)) as image:
+            with open_image(self._result.photo(one.row.image)) as image:
                 image.draft("RGB", (side_px, side_px))  # JPEGs are decoded small, many times faster
                 rgb = np.asarray(image.convert("RGB"))
         except (InputError, OSError):

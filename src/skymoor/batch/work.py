@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The run of one site in a process of its own: a crash, or too little memory, ends nothing else."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from skymoor.batch.sites import BAD_INPUT, LOG, Outcome, SiteTask, outcome_of
+
+IN_USE = "another run is writing here"  # what a run says of a folder that is locked
+RETRIES, WAIT_S = 6, 5.0  # a lost worker's process ends within seconds
+
+
+def run_site(
+    task: SiteTask, arguments: Sequence[str] = (), memory_gb: float | None = None, threads: int = 0
+) -> Outcome:
+    """Run a site and wait for it; what it prints goes to batch.log in its folder.
+
+    The same again continues where it stopped, and costs seconds where it was finished.
+
+    Args:
+        task: the site.
+        arguments: more of `skymoor run`.
+        memory_gb: most memory of the process, in gigabytes; beyond it the site fails, and only it.
+        threads: of the libraries that take their number from OMP_NUM_THREADS; 0 leaves it.
+    """
+    start, host = time.monotonic(), socket.gethostname()
+    try:
+        if not task.toml.is_file():
+            reason = f"{task.toml}: is not seen from {host}; sites and --out must lie where all workers see them"
+            return Outcome(task.name, task.out, BAD_INPUT, 0.0, message=reason, host=host)
+        task.out.mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, "-m", "skymoor.batch.limited", str(memory_gb or 0), "run", str(task.toml)]
+        command += ["--out", str(task.out), "--quiet", *arguments]
+        environment = {**os.environ, **({"OMP_NUM_THREADS": str(threads)} if threads else {})}
+        for _ in range(RETRIES):
+            status = _ended(command, task.out / LOG, environment)
+            last = _last_line(task.out / LOG)
+            if status != BAD_INPUT or IN_USE not in last:
+                break
+            time.sleep(WAIT_S)
+        return outcome_of(task, status, time.monotonic() - start, last if status == BAD_INPUT else "", host)
+    except OSError as error:
+        message = f"{error.filename or task.out}: {error.strerror or error}"
+        return Outcome(task.name, task.out, BAD_INPUT, time.monotonic() - start, message=message, host=host)
+
+
+def _ended(command: Sequence[str], log: Path, environment: dict[str, str]) -> int:
+    """The exit status of a command whose output goes to a file."""
+    with log.open("w", encoding="utf-8") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=environment)
+        try:
+            return process.wait()
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return lines[-1].removeprefix("skymoor: ") if lines else ""
