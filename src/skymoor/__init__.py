@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """skymoor georegisters 3D models from photos without metadata.
 
-For notebooks and scripts: `register` is the whole job, `read` loads what a run wrote, and both return a `Result`. The
-single steps are functions, too: `match_rasters`, `lift`, `register_matches`, `level_component`, `render_nadir`. All of
-them are imported when they are first used, so that `import skymoor` costs nothing.
+For notebooks and scripts: `register` is the whole job, `register_model` the same for a model that exists already,
+`read` loads what a run wrote, and all return a `Result`. The single steps are functions, too: `match_rasters`, `lift`,
+`register_matches`, `level_component`, `render_nadir`. All of them are imported when they are first used, so that
+`import skymoor` costs nothing.
 """
 
 # pycolmap exports its static zlib symbols; unless the system's zlib is loaded first, a later PNG write
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from skymoor.api import RasterMatch, level_component, match_rasters, register
+    from skymoor.api_models import register_model
     from skymoor.errors import BackendUnavailable, InputError, SkymoorError
     from skymoor.model.views import render_nadir
     from skymoor.registration import lift
@@ -41,6 +43,7 @@ _HOMES = {
     "read": "results.read",
     "register": "api",
     "register_matches": "registration.airborne:register",
+    "register_model": "api_models",
     "render_nadir": "model.views",
 }
 """Where each public name is defined, and what it is called there if that differs."""
@@ -62,6 +65,7 @@ __all__ = [
     "read",
     "register",
     "register_matches",
+    "register_model",
     "render_nadir",
 ]
 

@@ -18,6 +18,7 @@ from skymoor.errors import InputError, TooFewMatches
 from skymoor.geo.operations import installed_grids
 from skymoor.match import CyclicOptions, DenseMatcher, SearchOptions, StructuralMatcher, match_hypothesis
 from skymoor.match.decoys import decoy_scores
+from skymoor.match.features import Features
 from skymoor.match.search import search_hypotheses
 from skymoor.orient import estimate_gravity, level_from_gravity
 from skymoor.pipeline.addressed import with_files
@@ -33,6 +34,7 @@ from skymoor.pipeline.photo_sets import PhotoSet, find_sets, notes_of, require_d
 from skymoor.pipeline.prior import SearchPrior
 from skymoor.pipeline.provenance import provenance
 from skymoor.pipeline.site import ReferenceFiles, Site, load_site, site_from_arguments
+from skymoor.pipeline.site_values import site_file
 from skymoor.reference.raster import raster_files
 from skymoor.reference.read import read_reference
 from skymoor.registration.significance import false_alarm_probability
@@ -40,7 +42,7 @@ from skymoor.results.read import Result
 from skymoor.results.report.write import write_report
 from skymoor.results.write import SetResult, write_products
 from skymoor.store import PRODUCTS, Store, has_metadata
-from skymoor.types import Array, Component, Matches2D, Progress, Raster, no_progress
+from skymoor.types import Array, Component, Matches2D, Progress, Raster, Reference, no_progress
 
 Where = str | PathLike[str]
 StageProgress = Callable[..., None]
@@ -80,7 +82,7 @@ def register(
     Call it again with the same `out` to go on where it stopped.
 
     Args:
-        site: site.toml, or one that was loaded; or name the data by `airborne`, `ortho` and `dsm`.
+        site: site.toml, its folder, or one that was loaded; or name the data by `airborne`, `ortho` and `dsm`.
         out: folder for the results.
         airborne: folder of airborne photos, or a video; several are one set. Sub-folders count.
         ground: a folder of ground photos, or a video; each of several is a set of its own.
@@ -112,12 +114,12 @@ def register(
     reference: dict[str, Any] = {"ortho": ortho, "dsm": dsm, "vertical_datum": vertical_datum}
     loaded = site_of(site, airborne=airborne, ground=ground, **reference, ce90=ce90, le90=le90, accuracy=accuracy)
     loaded = loaded.bounded(SearchPrior.of(area, near, heading, height))
-    chosen = with_options(Options(), {**loaded.options, **loaded.prior.options(), **(options or {})})
+    chosen = with_options(Options(), {**loaded.options, **loaded.bounds.options(), **(options or {})})
     weights = check_engines(chosen, ground=bool(loaded.ground))
-    _require_run(loaded, Path(out), seed)
+    require_run(loaded, Path(out), seed)
     sets = find_sets(loaded)
     with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
-        loaded = with_files(loaded, store.root, partial(_track, progress), note)
+        loaded = with_files(loaded, store.root, partial(track_stage, progress), note)
         jobs = _jobs(loaded, sets, chosen, store, seed, progress, note)
         if not loaded.airborne:
             results = register_ground_sets_on_map(jobs)
@@ -150,23 +152,23 @@ def plan(
 
     Arguments and errors are those of `register`.
     """
-    chosen = with_options(Options(), {**site.options, **site.prior.options(), **options})
+    chosen = with_options(Options(), {**site.options, **site.bounds.options(), **options})
     check_engines(chosen, ground=bool(site.ground))
-    _require_run(site, Path(out), seed)
+    require_run(site, Path(out), seed)
     sets = find_sets(site)
     for text in notes_of(sets):
         note(text)
-    sizes = [sizes_of(one, chosen.video, partial(_track, progress)) for one in sets]
+    sizes = [sizes_of(one, chosen.video, partial(track_stage, progress)) for one in sets]
     airborne, ground = (sizes[0], sizes[1:]) if site.airborne else ((), sizes)
     with TemporaryDirectory() as scratch:
-        files = with_files(site, Path(scratch), partial(_track, progress), note).reference
+        files = with_files(site, Path(scratch), partial(track_stage, progress), note).reference
         reference = read_reference(
             files.ortho,
             files.dsm,
             files.vertical_datum,
             files.covariance,
-            area=site.prior.area,
-            progress=_track(progress, "reference"),
+            area=site.bounds.area,
+            progress=track_stage(progress, "reference"),
         )
     for text in reference.notes:
         note(text)
@@ -260,6 +262,7 @@ def site_of(
     photos, folders = _paths(airborne or ()), _paths(ground)
     given = {"airborne": photos or None, "ortho": ortho, "dsm": dsm, "ground": folders or None}
     if site is not None:
+        site = site_file(Path(site))
         clash = next((name for name, value in given.items() if value is not None), None)
         if clash is not None:
             raise InputError(f"{site} already names the data: leave out --{clash}")
@@ -279,22 +282,10 @@ def _rasters(files: ReferenceFiles) -> list[Path]:
     return [path for path in (files.ortho, files.dsm) if isinstance(path, Path)]
 
 
-def _jobs(
-    site: Site,
-    sets: Sequence[PhotoSet],
-    options: Options,
-    store: Store,
-    seed: int,
-    progress: StageProgress,
-    note: Callable[[str], None],
-) -> list[Job]:
-    """One job for each set of photos, all with the same reference."""
-    track, jobs = partial(_track, progress), []
-    for text in notes_of(sets):
-        note(text)
-    count = has_metadata(sets[0].files.photos)
-    if count:
-        note(f"{count} photos carry EXIF or XMP metadata: it is ignored, nothing but pixels is used")
+def reference_of(
+    site: Site, store: Store, track: Callable[[str], Progress], note: Callable[[str], None]
+) -> tuple[Reference, Callable[[], Features]]:
+    """The reference of a site, and its local features, which are found when they are first asked for."""
     files = site.reference
     reference = store.stage(
         "reference",
@@ -303,7 +294,7 @@ def _jobs(
         files.dsm,
         files.vertical_datum,
         files.covariance,
-        area=site.prior.area,
+        area=site.bounds.area,
         progress=track("reference"),
         depends_on=(raster_files(*_rasters(files)), installed_grids()),
     )
@@ -314,7 +305,28 @@ def _jobs(
     if why_not:
         note(why_not)
     features = cache(lambda: store.stage("reference.features", reference_features, reference, files.ortho, index))
-    known = partial(Job, files=(files.ortho, files.dsm, files.vertical_datum), heading=site.prior.heading)
+    return reference, features
+
+
+def _jobs(
+    site: Site,
+    sets: Sequence[PhotoSet],
+    options: Options,
+    store: Store,
+    seed: int,
+    progress: StageProgress,
+    note: Callable[[str], None],
+) -> list[Job]:
+    """One job for each set of photos, all with the same reference."""
+    track, jobs = partial(track_stage, progress), []
+    for text in notes_of(sets):
+        note(text)
+    count = has_metadata(sets[0].files.photos)
+    if count:
+        note(f"{count} photos carry EXIF or XMP metadata: it is ignored, nothing but pixels is used")
+    reference, features = reference_of(site, store, track, note)
+    files = site.reference
+    known = partial(Job, files=(files.ortho, files.dsm, files.vertical_datum), heading=site.bounds.heading)
     for one in sets:
         stage = "photos" if one.name == "airborne" else f"{one.name}.photos"
         photos = store.photos(stage, one.files, options.video, track(stage))
@@ -327,7 +339,7 @@ def _jobs(
     return jobs
 
 
-def _track(progress: StageProgress, name: str) -> Progress:
+def track_stage(progress: StageProgress, name: str) -> Progress:
     """The progress callback of a stage."""
 
     def update(done: int, total: int, note: str = "", /) -> None:
@@ -336,7 +348,7 @@ def _track(progress: StageProgress, name: str) -> Progress:
     return update
 
 
-def _require_run(site: Site, out: Path, seed: int) -> None:
+def require_run(site: Site, out: Path, seed: int) -> None:
     """What would go wrong later, or would harm the user's own files."""
     if not 0 <= seed <= LARGEST_SEED:
         raise InputError(f"--seed {seed}: give a whole number from 0 to {LARGEST_SEED}")

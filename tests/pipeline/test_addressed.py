@@ -17,7 +17,7 @@ from skymoor.errors import InputError
 from skymoor.pipeline.addressed import with_files
 from skymoor.pipeline.prior import SearchPrior
 from skymoor.pipeline.site import Site, load_site, site_from_arguments
-from skymoor.results.write import credits_of
+from skymoor.results.request import credits_of
 from skymoor.sources.fetch import fetch_reference
 from skymoor.types import no_progress
 from support.offline import TouchedNetwork, offline
@@ -89,6 +89,8 @@ def test_the_same_request_is_not_fetched_again(web: Web, tmp_path: Path) -> None
     notes: list[str] = []
     with offline():
         again = with_files(site, run, silent, notes.append).reference
+        part = box(220.0, 220.0, 50.0)  # of what is there
+        with_files(site.bounded(SearchPrior(area=part)), run, silent, notes.append)
     assert not web.seen and "is used; delete it to fetch it again" in notes[0]
     assert (again.ortho, again.vertical_datum) == (first.ortho, first.vertical_datum)
     with_files(site.bounded(SearchPrior(area=box(100.0))), run, silent, notes.append)

@@ -137,7 +137,7 @@ def test_a_radiance_field_places_the_photos_as_well(copied: Path, small_site: Si
     options = ("--set", "model.kind=nerf", "--set", "model.nerf.iterations=30")
     mesh = rows_of(copied / "cameras.csv")
     assert run(small_site.folder / "airborne.toml", copied, *options) == 0
-    redone = ("model", "nadir", "search", "decoys", "register")
+    redone = ("model", "nadir", "search", "decoys", "places", "register")
     assert computed_stages(copied) == {f"airborne-0.{stage}" for stage in redone}
     apart = [
         np.linalg.norm([float(a[key]) - float(b[key]) for key in ("east", "north", "up")])

@@ -246,3 +246,16 @@ def test_all_that_is_missing_is_told_at_once_with_usual_values(site: Path) -> No
     with pytest.raises(InputError, match=r"ce90 and le90 and vertical_datum missing") as error:
         load_site(site)
     assert 'accuracy = "unknown"' in str(error.value) and "\n" not in str(error.value)
+
+
+def test_rights_of_a_fetched_reference_are_found_beside_it(site: Path) -> None:
+    folder = site.parent
+    fetched = '[reference]\northo = "ortho.tif"\nlicence = "CC-BY-4.0"\ncredit = "Survey"\nce90 = 1.0\nle90 = 1.0\n'
+    (folder / "reference/reference.toml").write_text(fetched)
+    ortho, arguments = folder / "reference/ortho.tif", (None, "ellipsoid", 5.0, 6.0)
+    files = site_from_arguments([folder / "airborne"], [], ortho, *arguments).reference
+    assert (files.licence, files.credit, files.date) == ("CC-BY-4.0", "Survey", None)
+    assert ce90_m(files.covariance) == pytest.approx(5.0)  # nothing else is taken from there
+    for other in (fetched.replace("ortho.tif", "other.tif"), "not TOML ["):
+        (folder / "reference/reference.toml").write_text(other)
+        assert site_from_arguments([folder / "airborne"], [], ortho, *arguments).reference.licence is None

@@ -32,7 +32,7 @@ class Run:
     """
 
     site: Annotated[Path | None, tyro.conf.Positional] = None
-    """site.toml; or give --airborne or --ground, --ortho and, where there is one, --dsm."""
+    """site.toml, or its folder; or give --airborne or --ground, --ortho and, where there is one, --dsm."""
     out: Path
     """Folder for the results; the same command again continues where it stopped."""
     airborne: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
@@ -75,6 +75,58 @@ class Run:
     """Plain lines in place of progress bars."""
     dry_run: bool = False
     """Check all input and print the steps with estimates of time and memory; write nothing."""
+    json: bool = False
+    """For scripts: the result as JSON on stdout, all else on stderr."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Register:
+    """Lay a reconstruction, cloud, mesh, splat or orthophoto that exists already on the map.
+
+    For example:
+
+    skymoor register odm/project --ortho ortho.tif --dsm dsm.tif --vertical-datum EPSG:3855 --ce90 2.1 --le90 3.8
+    --out result
+
+    skymoor register flight.tif flight_dsm.tif --ortho ortho.tif --dsm dsm.tif --accuracy unknown --out result
+
+    Its own files, moved to their places, are in the folder placed of the result; docs/your-models.md lists the kinds.
+    Exit status: 0 it is registered, 3 it is not, 2 wrong input or usage, 1 an error of skymoor.
+    """
+
+    model: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """A project's folder (COLMAP, ODM, OpenSfM, nerfstudio), or files that share one coordinate system: an orthophoto
+    and its DSM, a cloud, a mesh, a splat, cameras."""
+    out: Path
+    """Folder for the results; the same command again continues where it stopped."""
+    photos: Path | None = None
+    """Folder of the photos that the model was made from, where they are not beside it."""
+    ortho: str
+    """Satellite orthophoto, any CRS that GDAL reads; or its address, of which the part in --area or --near is fetched
+    once."""
+    dsm: float | str | None = None
+    """Its digital surface model (DSM) or the address of one, or one height of the ground in metres; without it heights
+    stay unknown."""
+    vertical_datum: str | None = None
+    """Vertical datum of these heights: "ellipsoid" or an EPSG code such as "EPSG:3855"."""
+    ce90: float | None = None
+    """Circular error of the reference, 90 percent, metres."""
+    le90: float | None = None
+    """Linear error of the reference, 90 percent, metres; not needed without heights."""
+    accuracy: Literal["unknown"] | None = None
+    """unknown in place of --ce90 and --le90: positions are then accurate relative to the reference only."""
+    area: tuple[float, float, float, float] | None = None
+    """Search only there: west, south, east and north in degrees."""
+    near: tuple[float, float, float] | None = None
+    """Search only there: latitude, longitude and a radius in metres."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """An option by its dotted name; may be repeated."""
+    require_heights: bool = False
+    """Exit with 3 also where the model is registered but its heights are not confirmed."""
+    seed: int = 0
+    """Makes a run repeatable."""
+    quiet: bool = False
+    """Plain lines in place of progress bars."""
     json: bool = False
     """For scripts: the result as JSON on stdout, all else on stderr."""
 
@@ -216,14 +268,6 @@ class Clean:
     """Folder of the run."""
 
 
-@dataclass(frozen=True)
-class Schema:
-    """Print the JSON schema of site.toml, for editors that complete and check it.
-
-    For example: skymoor schema > site.schema.json
-    """
-
-
 @dataclass(frozen=True, kw_only=True)
 class Simulate:
     """Simulate a site with exact truth: photos, orthophoto, DSM, site.toml, truth.csv.
@@ -246,87 +290,3 @@ class Demo:
     """Folder for the site and the results; a second run reuses them."""
     quiet: bool = False
     """Plain lines in place of progress bars."""
-
-
-@dataclass(frozen=True)
-class Doctor:
-    """Check whether this machine has what runs need: versions, GPU, memory, disk, weights."""
-
-    out: Path = Path()
-    """Folder where results will be written."""
-    json: bool = False
-    """For scripts: as JSON on stdout."""
-
-
-@dataclass(frozen=True)
-class Completion:
-    """Print a shell script that completes commands and options.
-
-    For example: skymoor completion bash > ~/.local/share/bash-completion/completions/skymoor
-    """
-
-    shell: Annotated[Literal["bash", "zsh", "tcsh"], tyro.conf.Positional]
-
-
-@dataclass(frozen=True)
-class GridsList:
-    """List the grids of common datums, and which are installed; downloads nothing."""
-
-    json: bool = False
-    """For scripts: as JSON on stdout."""
-
-
-@dataclass(frozen=True)
-class GridsFetch:
-    """Download a grid from PROJ's server and check it.
-
-    For example: skymoor grids fetch us_nga_egm08_25.tif, or skymoor grids fetch EPSG:3855
-    """
-
-    name: Annotated[str, tyro.conf.Positional]
-    """File of the grid, or EPSG code of a datum that has one grid."""
-    quiet: bool = False
-    """Plain lines in place of progress bars."""
-
-
-@dataclass(frozen=True)
-class Grids:
-    """Grids of geoids and datum shifts, which PROJ needs for some references; runs download nothing."""
-
-    action: (
-        Annotated[GridsList, tyro.conf.subcommand("list", prefix_name=False)]
-        | Annotated[GridsFetch, tyro.conf.subcommand("fetch", prefix_name=False)]
-    )
-
-
-@dataclass(frozen=True)
-class WeightsList:
-    """List pretrained weights, their licences, and which are installed."""
-
-    json: bool = False
-    """For scripts: as JSON on stdout."""
-
-
-@dataclass(frozen=True)
-class WeightsFetch:
-    """Download pretrained weights and check them.
-
-    For example: skymoor weights fetch aliked
-    """
-
-    name: Annotated[str, tyro.conf.Positional]
-    """As in the list."""
-    to: Path | None = None
-    """Folder of all weights; $SKYMOOR_WEIGHTS or the user's data folder by default."""
-    quiet: bool = False
-    """Plain lines in place of progress bars."""
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Pretrained weights of optional engines; runs download nothing."""
-
-    action: (
-        Annotated[WeightsList, tyro.conf.subcommand("list", prefix_name=False)]
-        | Annotated[WeightsFetch, tyro.conf.subcommand("fetch", prefix_name=False)]
-    )

@@ -9,21 +9,18 @@ from skymoor.cli.arguments import (
     Batch,
     Clean,
     Demo,
-    Doctor,
     Evaluate,
     Export,
-    Grids,
-    GridsFetch,
     Index,
     Reference,
+    Register,
     Report,
     Run,
     Simulate,
     View,
-    Weights,
-    WeightsFetch,
 )
 from skymoor.cli.progress import Screen
+from skymoor.pipeline.words import size_in_words
 from skymoor.simulate.options import SiteOptions
 
 # Small enough for a few minutes on two cores, large enough for every step to have its work.
@@ -42,10 +39,12 @@ DEMO = SiteOptions(
 def run(command: Run) -> bool:
     """`skymoor run`; returns whether everything was registered."""
     from skymoor import api
-    from skymoor.cli.tables import plan_table, remedies, summary_table
+    from skymoor.cli.outcome import show_result
+    from skymoor.cli.tables import plan_table
     from skymoor.pipeline.option_parser import parse_option
     from skymoor.pipeline.prior import SearchPrior
-    from skymoor.results.report.write import PAGE
+    from skymoor.pipeline.site_values import is_there
+    from skymoor.results.ask.answer import ANSWERS
 
     options = dict(map(parse_option, command.set))
     if command.fps is not None:
@@ -63,6 +62,10 @@ def run(command: Run) -> bool:
     )
     site = site.bounded(SearchPrior.of(command.area, command.near, command.heading, command.height))
     with Screen(plain=command.quiet, for_scripts=command.json) as screen:
+        if command.site is not None and command.site.is_dir():
+            screen.note(f"{site.source}: this file in the folder is used")
+        if is_there(command.out / ANSWERS):
+            screen.note(f"{command.out / ANSWERS}: what a person stated is not used by this run, only by skymoor ask")
         if command.dry_run:
             steps = api.plan(
                 site, options, out=command.out, seed=command.seed, progress=screen.progress, note=screen.note
@@ -74,10 +77,42 @@ def run(command: Run) -> bool:
         result = api.register(
             site, out=command.out, options=options, seed=command.seed, progress=screen.progress, note=screen.note
         )
+        show_result(screen, result)
+    return result.registered and (result.heights_confirmed or not command.require_heights)
+
+
+def register(command: Register) -> bool:
+    """`skymoor register`; returns whether the model is registered."""
+    from skymoor.api_models import register_model
+    from skymoor.cli.tables import remedies, summary_table
+    from skymoor.pipeline.option_parser import parse_option
+    from skymoor.results.placed import PLACED
+    from skymoor.results.report.write import PAGE
+
+    with Screen(plain=command.quiet, for_scripts=command.json) as screen:
+        result = register_model(
+            command.model,
+            out=command.out,
+            ortho=command.ortho,
+            dsm=command.dsm,
+            photos=command.photos,
+            vertical_datum=command.vertical_datum,
+            ce90=command.ce90,
+            le90=command.le90,
+            accuracy=command.accuracy,
+            area=command.area,
+            near=command.near,
+            options=dict(map(parse_option, command.set)),
+            seed=command.seed,
+            progress=screen.progress,
+            note=screen.note,
+        )
         summary = result.summary
         screen.show(summary_table(summary))
         for line in remedies(summary):
             screen.note(line)
+        if result.registered:
+            screen.note(f"the model's own files, moved: {command.out / PLACED}")
         screen.note(f"results in {command.out}; to read: {command.out / PAGE}")
         screen.answer({"out": command.out.resolve(), "site": summary["site"], "sets": summary["sets"]})
     return result.registered and (result.heights_confirmed or not command.require_heights)
@@ -174,7 +209,7 @@ def clean(command: Clean) -> None:
         raise InputError(f"{command.run}: is no folder of a run; give the one that skymoor run wrote with --out")
     with Screen(plain=True) as screen, Store.open(command.run) as store:
         freed = store.clean()
-        screen.note(f"{command.run}: {freed / 1e6:.1f} MB freed; the results are kept, the same run starts anew")
+        screen.note(f"{command.run}: {size_in_words(freed)} freed; the results are kept, the same run starts anew")
 
 
 def simulate(command: Simulate) -> None:
@@ -199,43 +234,6 @@ def demo(command: Demo) -> bool:
             f"{result / 'matches'}, all figures in {result / 'summary.json'}"
         )
     return registered
-
-
-def weights(command: Weights) -> None:
-    """`skymoor weights list` and `skymoor weights fetch`."""
-    from skymoor.cli.tables import weights_table
-    from skymoor.engines.weights import KNOWN, fetch, weights_folder
-
-    if not isinstance(command.action, WeightsFetch):
-        folder = weights_folder()
-        with Screen(plain=True, for_scripts=command.action.json) as screen:
-            screen.show(weights_table(KNOWN, folder))
-            screen.answer({"folder": folder, "weights": KNOWN})
-        return
-    wanted = command.action
-    with Screen(plain=wanted.quiet) as screen:
-        for file in fetch(wanted.name, wanted.to or weights_folder(), lambda name: screen.track(f"{name}, MB")):
-            digest = "" if file.sha256 is None else f", sha256 {file.sha256}"
-            screen.note(f"{file.path}: {'was here' if file.was_there else 'fetched'}{digest}")
-        if wanted.to is not None and wanted.to != weights_folder():
-            screen.note(f"engines find it there if SKYMOOR_WEIGHTS={wanted.to}")
-
-
-def grids(command: Grids) -> None:
-    """`skymoor grids list` and `skymoor grids fetch`."""
-    from skymoor.cli.tables import grids_table
-    from skymoor.engines.proj_grids import COMMON, fetch_grid, grids_of, user_folder
-
-    if not isinstance(command.action, GridsFetch):
-        with Screen(plain=True, for_scripts=command.action.json) as screen:
-            known = [grids_of(code) for code in COMMON]
-            screen.show(grids_table(known, user_folder()))
-            screen.answer({"folder": user_folder(), "datums": known})
-        return
-    with Screen(plain=command.action.quiet) as screen:
-        file = fetch_grid(command.action.name, lambda name: screen.track(f"{name}, MB"))
-        digest = "" if file.sha256 is None else f", sha256 {file.sha256}"
-        screen.note(f"{file.path}: {'was here' if file.was_there else 'fetched'}{digest}")
 
 
 def reference(command: Reference) -> None:
@@ -268,25 +266,5 @@ def index(command: Index) -> None:
     ortho = load_site(named).reference.ortho if named.suffix.lower() == ".toml" else named
     with Screen(plain=command.quiet) as screen:
         file, count = write_index(ortho, progress=screen.track("index, tiles"))
-        size_mb = file.stat().st_size / 1e6
-        screen.note(f"{file}: {count} local features, {size_mb:.0f} MB; runs on {ortho} use them from now on")
-
-
-def doctor(command: Doctor) -> bool:
-    """`skymoor doctor`; returns whether nothing that is needed is missing."""
-    from skymoor.cli.doctor import examine
-    from skymoor.cli.tables import checks_table
-
-    checks = examine(command.out)
-    with Screen(plain=True, for_scripts=command.json) as screen:
-        screen.show(checks_table(checks))
-        screen.answer({"checks": [{**asdict(check), "status": check.status} for check in checks]})
-    return all(check.status != "missing" for check in checks)
-
-
-def schema() -> None:
-    """`skymoor schema`."""
-    from skymoor.pipeline.site_schema import site_schema
-
-    with Screen(plain=True, for_scripts=True) as screen:
-        screen.answer(site_schema(), indent=2)
+        size = size_in_words(file.stat().st_size)
+        screen.note(f"{file}: {count} local features, {size}; runs on {ortho} use them from now on")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import or_
 from typing import Annotated, Any
@@ -17,21 +17,20 @@ from skymoor import __version__
 from skymoor.cli.arguments import (
     Batch,
     Clean,
-    Completion,
     Demo,
-    Doctor,
     Evaluate,
     Export,
-    Grids,
     Index,
     Reference,
+    Register,
     Report,
     Run,
-    Schema,
     Simulate,
     View,
-    Weights,
 )
+from skymoor.cli.guide_arguments import Ask, Init
+from skymoor.cli.machine_arguments import Completion, Doctor, Grids, Help, Schema, Version, Weights
+from skymoor.cli.usage import parsed
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 from skymoor.pipeline.option_parser import nearest
 
@@ -41,7 +40,10 @@ OF_THE_DISK = (
     *(errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP),
 )
 COMMANDS = {
+    "init": Init,
     "run": Run,
+    "register": Register,
+    "ask": Ask,
     "batch": Batch,
     "evaluate": Evaluate,
     "export": Export,
@@ -57,6 +59,8 @@ COMMANDS = {
     "doctor": Doctor,
     "schema": Schema,
     "completion": Completion,
+    "help": Help,
+    "version": Version,
 }
 _Command: Any = tyro.conf.OmitArgPrefixes[  # type: ignore[misc]
     reduce(or_, (Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items()))
@@ -64,8 +68,8 @@ _Command: Any = tyro.conf.OmitArgPrefixes[  # type: ignore[misc]
 DESCRIPTION = """skymoor georegisters 3D models: photos without metadata, an orthophoto and its DSM go
 in, and every camera and model gets a position on Earth with its accuracy, or the reason why it has none.
 
-Begin with: skymoor doctor, then skymoor demo, then skymoor run site.toml --out result. Each command explains itself:
-skymoor run --help."""
+Begin with: skymoor demo; then, with your own photos, skymoor init PHOTOS --ortho F.tif --dsm F.tif, which writes a
+site.toml, and skymoor run site.toml --out result. Each command explains itself: skymoor help run."""
 EXIT_REGISTERED, EXIT_ERROR, EXIT_USAGE, EXIT_NOT_REGISTERED = 0, 1, 2, 3
 EXIT_BROKEN_PIPE, EXIT_INTERRUPTED = 141, 130  # as a shell reports the signals
 
@@ -77,10 +81,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(__version__)
         return 0
     try:
-        if arguments and not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
-            raise InputError(f"there is no command {arguments[0]}; {nearest(arguments[0], list(COMMANDS))}")
-        chosen = tyro.cli(_Command, args=arguments, prog="skymoor", description=DESCRIPTION)
-        status = _done(chosen)
+        if arguments and not arguments[0].startswith("-"):
+            _require_command(arguments[0])
+        status = _done(parsed(_parse, arguments or ["--help"]))
         sys.stdout.flush()
         return status
     except (InputError, BackendUnavailable) as error:  # such as a chosen engine that is not installed
@@ -106,42 +109,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_INTERRUPTED
 
 
+def _parse(arguments: list[str]) -> Any:
+    return tyro.cli(_Command, args=arguments, prog="skymoor", description=DESCRIPTION)
+
+
+def _require_command(name: str) -> None:
+    if name not in COMMANDS:
+        raise InputError(f"there is no command {name}; {nearest(name, list(COMMANDS))}")
+
+
 def _done(chosen: Any) -> int:
     """The exit status of a command that raised nothing."""
     if isinstance(chosen, Completion):
         return main(["--tyro-print-completion", chosen.shell])
-    from skymoor.cli import commands
+    if isinstance(chosen, Version):
+        return main(["--version"])
+    if isinstance(chosen, Help):
+        if chosen.command is not None:
+            _require_command(chosen.command)
+        return main([*filter(None, [chosen.command]), "--help"])
+    from skymoor.cli import commands, guide, machine
 
-    if isinstance(chosen, Evaluate):
-        commands.evaluate(chosen)
-    elif isinstance(chosen, Export):
-        commands.export(chosen)
-    elif isinstance(chosen, Report):
-        commands.report(chosen)
-    elif isinstance(chosen, View):
-        commands.view(chosen)
-    elif isinstance(chosen, Clean):
-        commands.clean(chosen)
-    elif isinstance(chosen, Schema):
-        commands.schema()
-    elif isinstance(chosen, Simulate):
-        commands.simulate(chosen)
-    elif isinstance(chosen, Weights):
-        commands.weights(chosen)
-    elif isinstance(chosen, Grids):
-        commands.grids(chosen)
-    elif isinstance(chosen, Reference):
-        commands.reference(chosen)
-    elif isinstance(chosen, Batch):
-        return commands.batch(chosen)
-    elif isinstance(chosen, Index):
-        commands.index(chosen)
-    elif isinstance(chosen, Doctor):
-        return EXIT_REGISTERED if commands.doctor(chosen) else EXIT_ERROR
-    else:
-        done = commands.run(chosen) if isinstance(chosen, Run) else commands.demo(chosen)
-        return EXIT_REGISTERED if done else EXIT_NOT_REGISTERED
-    return EXIT_REGISTERED
+    actions: dict[type, Callable[[Any], bool | int | None]] = {
+        Ask: guide.ask,
+        Batch: commands.batch,
+        Clean: commands.clean,
+        Demo: commands.demo,
+        Doctor: machine.doctor,
+        Evaluate: commands.evaluate,
+        Export: commands.export,
+        Grids: machine.grids,
+        Index: commands.index,
+        Init: guide.init,
+        Reference: commands.reference,
+        Register: commands.register,
+        Report: commands.report,
+        Run: commands.run,
+        Schema: machine.schema,
+        Simulate: commands.simulate,
+        View: commands.view,
+        Weights: machine.weights,
+    }
+    done = actions[type(chosen)](chosen)
+    if done is False:
+        return EXIT_ERROR if isinstance(chosen, Doctor) else EXIT_NOT_REGISTERED
+    return EXIT_REGISTERED if done is None or done is True else done
 
 
 def _tell(error: SkymoorError | str) -> None:

@@ -15,6 +15,7 @@ from rich.progress import Progress as Bars
 from rich.table import Table
 
 from skymoor.pipeline.log import LOG
+from skymoor.pipeline.words import time_in_words
 from skymoor.store._plain import plain
 from skymoor.types import Progress
 
@@ -106,7 +107,7 @@ class _Lines:
         now = time.monotonic()
         self.start = self.start or now
         if done >= total:
-            self.console.print(f"{self.name}: {total} done in {now - self.start:.0f} s", markup=False)
+            self.console.print(f"{self.name}: {total} done in {time_in_words(now - self.start)}", markup=False)
         elif note and now - (self.noted or self.start) > NOTE_S:
             self.noted = now
             self.console.print(f"{self.name}: {note}", markup=False)

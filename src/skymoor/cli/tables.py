@@ -16,7 +16,10 @@ from skymoor.engines.proj_grids import DatumGrids
 from skymoor.engines.weights import Weights
 from skymoor.evaluate import EvaluationRow
 from skymoor.pipeline.estimate import Step
+from skymoor.pipeline.words import size_in_words, time_in_words
 from skymoor.registration.criteria import remedy_of
+
+MIB = 2**20
 
 
 def summary_table(summary: dict[str, Any]) -> Table:
@@ -35,8 +38,10 @@ def summary_table(summary: dict[str, Any]) -> Table:
         "remark",
     ):
         table.add_column(heading)
+    person = summary.get("person") or {}
     for item in summary["sets"]:
         for component in item["components"]:
+            helped = "a person helped" if person.get("component") == f"{item['set']}_{component['component']}" else ""
             table.add_row(
                 item["set"],
                 str(component["component"]),
@@ -47,7 +52,7 @@ def summary_table(summary: dict[str, Any]) -> Table:
                 _number(component.get("predicted_ce90_m")),
                 _number(component.get("predicted_le90_m")),
                 component.get("heights") or "-",
-                Text(component["reason"] or _remark(component)),
+                Text("; ".join(filter(None, [component["reason"] or _remark(component), helped]))),
             )
         if not item["components"]:
             table.add_row(item["set"], "-", item["status"], "0", "-", "-", "-", "-", "-", item["reason"])
@@ -63,11 +68,11 @@ def _remark(component: dict[str, Any]) -> str:
 def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
     """One line per site of a batch."""
     table = Table(title="sites")
-    for heading in ("site", "status", "components", "photos", "CE90 m", "minutes"):
+    for heading in ("site", "status", "components", "photos", "CE90 m", "time"):
         table.add_column(heading)
     for one in sorted(outcomes, key=lambda one: one.name):
         counts = (f"{one.registered} of {one.components}", f"{one.placed} of {one.photos}")
-        table.add_row(Text(one.name), one.verdict, *counts, _number(one.ce90_m), f"{one.seconds / 60:.1f}")
+        table.add_row(Text(one.name), one.verdict, *counts, _number(one.ce90_m), time_in_words(one.seconds))
     return table
 
 
@@ -144,7 +149,7 @@ def weights_table(known: Sequence[Weights], folder: Path) -> Table:
     """One line for each engine's weights."""
     table = Table(title=Text(f"pretrained weights; they lie in {folder}"))
     table.add_column("name", no_wrap=True)
-    for heading in ("for", "MB", "here", "licence: code", "weights", "sha256", "note"):
+    for heading in ("for", "size", "here", "licence: code", "weights", "sha256", "note"):
         table.add_column(heading, overflow="fold")
     for one in known:
         there = one.here(folder)
@@ -152,7 +157,7 @@ def weights_table(known: Sequence[Weights], folder: Path) -> Table:
         table.add_row(
             one.name,
             one.what_for,
-            "?" if one.size_mb is None else f"{one.size_mb:.4g}",
+            "?" if one.size_mb is None else size_in_words(one.size_mb * 1e6),
             "yes" if all(there) else "part" if any(there) else "no",
             one.code_licence,
             one.weights_licence,
@@ -187,16 +192,10 @@ def checks_table(checks: Sequence[Check]) -> Table:
 def plan_table(steps: Sequence[Step]) -> Table:
     """What a run would do."""
     table = Table(title="what a run would do; times are of two cores, and right to a factor of two")
-    for heading in ("step", "what", "about", "MiB"):
-        table.add_column(heading, justify="right" if heading in ("about", "MiB") else "left")
+    for heading in ("step", "what", "about", "memory"):
+        table.add_column(heading, justify="right" if heading in ("about", "memory") else "left")
     for step in steps:
-        table.add_row(step.name, step.what, _duration(step.seconds), f"{step.mib:.0f}")
+        table.add_row(step.name, step.what, time_in_words(step.seconds), size_in_words(step.mib * MIB))
     total, most = sum(step.seconds for step in steps), max(step.mib for step in steps)
-    table.add_row("in all", "", _duration(total), f"{most:.0f}", style="bold")
+    table.add_row("in all", "", time_in_words(total), size_in_words(most * MIB), style="bold")
     return table
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

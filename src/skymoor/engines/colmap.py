@@ -18,6 +18,10 @@ from skymoor.types import Array, Camera, Component, Image
 pycolmap.logging.minloglevel = int(pycolmap.logging.Level.ERROR)
 
 
+BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+"""COLMAP's camera models that `Intrinsics` states; fisheye and division models have parameters of the same names."""
+
+
 def intrinsics_of(camera: pycolmap.Camera) -> Intrinsics:
     """Our intrinsics of a COLMAP camera of the pinhole, radial or OPENCV kind.
 
@@ -25,8 +29,7 @@ def intrinsics_of(camera: pycolmap.Camera) -> Intrinsics:
         DegenerateGeometry: the camera model has no Brown form with two radial terms.
     """
     named = dict(zip(camera.params_info.replace(" ", "").split(","), map(float, camera.params), strict=True))
-    known = {"f", "fx", "fy", "cx", "cy", "k", "k1", "k2", "p1", "p2"}
-    if not known.issuperset(named):
+    if camera.model.name not in BROWN:
         raise DegenerateGeometry(f"camera model {camera.model.name} is not supported")
     radial = (named.get("k1", named.get("k", 0.0)), named.get("k2", 0.0))
     return Intrinsics(

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -45,9 +45,9 @@ def with_files(site: Site, out: Path, track: Callable[[str], Progress], note: Ca
     """
     if site.addressed is None:
         return site
-    asked, area = site.addressed, site.prior.area
-    request = digest([asked.ortho, asked.dsm, None if area is None else list(area)])
-    facts = _fetched_before(out / FETCHED, request, note)
+    asked, area = site.addressed, site.bounds.area
+    request = digest([asked.ortho, asked.dsm])
+    facts = _fetched_before(out / FETCHED, request, area, note)
     if facts is None:
         from skymoor.sources.fetch import fetch_reference  # loads what reads catalogues, which takes its time
 
@@ -56,7 +56,7 @@ def with_files(site: Site, out: Path, track: Callable[[str], Progress], note: Ca
         for text in found.notes:
             note(text)
         facts = found.facts
-        record = {"request": request, "fetched": _now(), "facts": asdict(facts)}
+        record = {"request": request, "area": area, "fetched": _now(), "facts": asdict(facts)}
         with atomic_file(out / FETCHED / RECORD) as file:
             file.write(json.dumps(record, ensure_ascii=False, indent=1).encode())
     files, heights = site.reference, asked.dsm is not None
@@ -72,17 +72,28 @@ def with_files(site: Site, out: Path, track: Callable[[str], Progress], note: Ca
     return replace(site, reference=reference)
 
 
-def _fetched_before(folder: Path, request: str, note: Callable[[str], None]) -> Facts | None:
-    """What is known of the files that the same request has fetched; None where there are none."""
+def _fetched_before(
+    folder: Path, request: str, area: Sequence[float] | None, note: Callable[[str], None]
+) -> Facts | None:
+    """What is known of the files that were fetched from the same addresses and hold this area; None without any."""
     try:
         record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-        if record["request"] != request or not (folder / ORTHO.name).is_file():
+        if record["request"] != request or not (folder / ORTHO.name).is_file() or not _holds(record["area"], area):
             return None
         facts = Facts(**record["facts"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
     note(f"{folder}: the reference that was fetched on {record['fetched']} is used; delete it to fetch it again")
     return facts
+
+
+def _holds(there: Sequence[float] | None, area: Sequence[float] | None) -> bool:
+    """Whether the area that was fetched, everything without one, holds another."""
+    if there is None or area is None:
+        return there is None
+    return all(a <= b for a, b in zip(there[:2], area[:2], strict=True)) and all(
+        a >= b for a, b in zip(there[2:], area[2:], strict=True)
+    )
 
 
 def _now() -> str:

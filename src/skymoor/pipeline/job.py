@@ -99,7 +99,8 @@ class ComponentResult:
     `name` is that of its stages. `pose_checks` compare each photo with the others. A ground
     component is registered to `base`, an airborne one, and `walls` shows both; or straight to the reference, and `plan`
     shows it there; `metric` is its scale by monocular depth.
-    `hypotheses` are all that were found, the best first, and `searched` the same in pixels.
+    `hypotheses` are all that were found, the best first, and `searched` the same in pixels. `flat` says that its
+    heights are no measurement, but those of a plane: it is an orthophoto alone.
     """
 
     name: str
@@ -118,6 +119,7 @@ class ComponentResult:
     metric: MetricScale | None = None
     hypotheses: Sequence[MapHypothesis] = ()
     searched: Searched | None = None
+    flat: bool = False
 
     @property
     def cameras_enu(self) -> list[Camera]:

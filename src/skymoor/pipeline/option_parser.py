@@ -77,9 +77,14 @@ def parse_option(text: str) -> tuple[str, object]:
     return name, value if usable else raw
 
 
+def close_to(name: str, known: Sequence[str]) -> list[str]:
+    """The known names that are spelt nearly like this one, the nearest first."""
+    return get_close_matches(name, known, n=3, cutoff=0.5)
+
+
 def nearest(name: str, known: Sequence[str]) -> str:
     """The end of a message about an unknown name: what is close to it, or what there is, if that is not too much."""
-    close = get_close_matches(name, known, n=3, cutoff=0.5)
+    close = close_to(name, known)
     if not close:  # the right name in the wrong group
         close = [other for other in known if other.rpartition(".")[2] == name.rpartition(".")[2]]
     if close:

@@ -24,8 +24,8 @@ from skymoor.types import Progress
 __all__ = ["PhotoSet", "find_sets", "notes_of", "or_too_few", "require_distinct", "sizes_of"]
 
 FEW_PHOTOS = 8
-"""Of a real nadir flight, 8 photos were registered, and sets of 6 were not: docs/limits.md. A depth needs three photos
-that show the same."""
+"""A recommendation and no limit: of subsets of a real nadir flight one of 4 photos was registered, others of 4 to 8
+were not. A depth needs three photos that show the same."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -50,12 +51,16 @@ class Heading:
         named = sorted((one for one in cameras if one.image.endswith(self.image)), key=lambda one: one.image)
         if not named:
             return ALL_AZIMUTHS
-        # The rows of the rotation are the camera's axes: right, down and forward. Whatever the tilt, forward and the
-        # upper edge point to the same side.
-        rotation = named[0].cam_from_world.rotation
-        east, north, _ = rotation[2] - rotation[1]
-        own = float(np.arctan2(east, north))
-        return float(np.radians(self.degrees)) - own, float(np.radians(self.tolerance_deg))
+        return float(np.radians(self.degrees)) - own_azimuth(named[0]), float(np.radians(self.tolerance_deg))
+
+
+def own_azimuth(camera: Camera) -> float:
+    """The direction, radians clockwise from y, in which a photo looks in the level frame of its camera."""
+    # The rows of the rotation are the camera's axes: right, down and forward. Whatever the tilt, forward and the upper
+    # edge point to the same side.
+    rotation = camera.cam_from_world.rotation
+    east, north, _ = rotation[2] - rotation[1]
+    return float(np.arctan2(east, north))
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,29 @@ class SearchPrior:
             return {}
         low, high = self.height_m / HEIGHT_TOLERANCE, self.height_m * HEIGHT_TOLERANCE
         return {"match.min_height_m": low, "match.max_height_m": high}
+
+
+@dataclass(frozen=True)
+class Person:
+    """What a person stated after a refusal: the prior that follows from it, and the record of who said what."""
+
+    prior: SearchPrior
+    record: dict[str, Any] = field(default_factory=dict)
+
+
+def plain_prior(prior: SearchPrior) -> dict[str, Any]:
+    """For JSON; `prior_from_plain` reads it."""
+    return asdict(prior)
+
+
+def prior_from_plain(value: Mapping[str, Any]) -> SearchPrior:
+    """Of `plain_prior`. Raises `KeyError`, `TypeError` or `ValueError` for anything else."""
+    area, heading = value["area"], value["heading"]
+    return SearchPrior(
+        None if area is None else _box(area, "area"),
+        None if heading is None else Heading(**heading),
+        value["height_m"],
+    )
 
 
 def prior_from_table(table: Mapping[str, object], where: str) -> SearchPrior:

@@ -99,7 +99,9 @@ def places_of(
         part = whole.part(bounds)
         place = Place(_moved(one, middle, whole, part), part)
         if whole.detail_lost:
-            finer = read_part(*files, whole, bounds)
+            inside = [*np.maximum(bounds[:2], whole.grid.bounds[:2]), *np.minimum(bounds[2:], whole.grid.bounds[2:])]
+            grid, rgb, mask, height = read_part(*files, whole.frame, inside, whole.finest_m)
+            finer = replace(whole, grid=grid, rgb=rgb, mask=mask, height=height, notes=())
             refined = refine_in(reference_raster(finer), image, [_moved(one, middle, whole, finer)], options)
             if refined:
                 best = replace(refined[0], score=one.score, by_features=one.by_features)

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,22 @@ from skymoor.errors import InputError
 from skymoor.geo import UNKNOWN_ACCURACY, UNKNOWN_HEIGHT_SIGMA_M, checked_covariance, covariance_from_ce90_le90
 from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.pipeline.addressed import DSM, ORTHO, addressed
-from skymoor.pipeline.option_parser import nearest, parse_option, with_options
-from skymoor.pipeline.prior import KEYS, SearchPrior, prior_from_table
+from skymoor.pipeline.option_parser import parse_option, with_options
+from skymoor.pipeline.prior import KEYS, Person, SearchPrior, prior_from_table
+from skymoor.pipeline.site_values import (
+    Problems,
+    existing,
+    heights_of,
+    images_of,
+    is_there,
+    known_keys,
+    number_of,
+    read_toml,
+    rights_beside,
+    site_file,
+    table_of,
+    text_of,
+)
 from skymoor.pipeline.usual_accuracy import USUAL, not_stated
 from skymoor.reference.raster import MapRaster
 from skymoor.sources.addresses import Addressed
@@ -67,6 +81,12 @@ class Site:
     source: str = "command line"
     prior: SearchPrior = field(default_factory=SearchPrior)
     addressed: Addressed | None = None
+    person: Person | None = None
+
+    @property
+    def bounds(self) -> SearchPrior:
+        """What the search is bounded by: what a person stated after a refusal overrules what was known before."""
+        return self.prior if self.person is None else self.prior.overruled(self.person.prior)
 
     @property
     def sets(self) -> list[tuple[str, tuple[Path, ...]]]:
@@ -79,6 +99,9 @@ class Site:
         return replace(self, prior=self.prior.overruled(prior))
 
 
+NOTHING = ReferenceFiles(Path(), None, None, UNKNOWN_ACCURACY)
+
+
 def load_site(
     path: Path,
     *,
@@ -87,49 +110,40 @@ def load_site(
     le90: float | None = None,
     accuracy: str | None = None,
 ) -> Site:
-    """Read a site.toml. Paths in it are relative to its folder; the keyword arguments overrule what it says.
+    """Read a site.toml, or the one in a folder. Paths in it are relative to its folder; the keyword arguments overrule
+    what it says.
 
     Raises `InputError`, naming the file and the key, for whatever is missing, misspelt, of the wrong type or not
-    there.
+    there: all of it at once, in `details` where it is several.
     """
-    table = _read_toml(path)
-    where = str(path)
-    _no_others(table, ("name", "reference", "airborne", "ground", "prior", "options"), where, "")
-    root = path.resolve().parent
-    reference = _table(table.get("reference"), where, "reference")
-    _no_others(reference, REFERENCE_KEYS, where, "reference")
-    ortho, dsm, sources = _sources(root, reference, where)
-    if accuracy is not None:
-        reference = {key: value for key, value in reference.items() if key not in ACCURACY_KEYS}
-        reference["accuracy"] = accuracy
-    if ce90 is not None or le90 is not None:
-        covariance = _from_ce90_le90(ce90, le90, "command line", dsm, vertical_datum)
-    else:
-        covariance = _covariance(reference, where, dsm, vertical_datum)
-    datum = vertical_datum if vertical_datum is not None else reference.get("vertical_datum")
-    files = ReferenceFiles(
-        ortho=ortho,
-        dsm=dsm,
-        vertical_datum=None if datum is None else _text(datum, where, "reference.vertical_datum"),
-        covariance=covariance,
-        **{key: _text(reference[key], where, f"reference.{key}") for key in RIGHTS if key in reference},
-    )
-    ground = table.get("ground", [])
-    if not isinstance(ground, list):
-        raise InputError(f"{where}: write [[ground]] with double brackets, once for each set of ground images")
+    path = site_file(path)
+    table, where, root = read_toml(path), str(path), path.resolve().parent
+    problems = Problems(where)
+    table = known_keys(table, ("name", "reference", "airborne", "ground", "prior", "options"), "", problems)
+    overruled = _Overruled(vertical_datum, ce90, le90, accuracy)
     site = Site(
-        name=_text(table.get("name", root.name), where, "name"),
+        name=problems.value(lambda: text_of(table.get("name", root.name), where, "name"), root.name),
         root=root,
-        reference=files,
-        airborne=_images(root, table["airborne"], where, "airborne") if "airborne" in table else (),
-        ground=tuple(_images(root, entry, where, "ground") for entry in ground),
-        options=_table(table.get("options", {}), where, "options"),
+        reference=NOTHING,
+        airborne=problems.value(lambda: images_of(root, table["airborne"], "airborne", problems), ())
+        if "airborne" in table
+        else (),
+        ground=_ground(root, table.get("ground", []), problems),
+        options=problems.value(lambda: table_of(table.get("options", {}), where, "options"), {}),
         source=where,
-        prior=_prior(table.get("prior", {}), where),
-        addressed=sources,
+        prior=problems.value(lambda: _prior(table.get("prior", {}), problems), SearchPrior()),
     )
-    if not site.sets:
-        raise InputError(f"{where}: there are no images; add [airborne] or [[ground]] with images = FOLDER")
+    with problems.collected():
+        reference = known_keys(
+            table_of(table.get("reference"), where, "reference"), REFERENCE_KEYS, "reference", problems
+        )
+        files, sources = _reference(root, reference, overruled, problems)
+        site = replace(site, reference=files, addressed=sources)
+    if "airborne" not in table and not table.get("ground"):
+        problems.found.append(
+            InputError(f"{where}: there are no images; add [airborne] or [[ground]] with images = FOLDER")
+        )
+    problems.raised()
     return site
 
 
@@ -156,12 +170,12 @@ def site_from_arguments(
         ortho, dsm = ORTHO, DSM if isinstance(dsm, str | Path) else dsm
     ortho, dsm = Path(ortho), Path(dsm) if isinstance(dsm, str) else dsm
     for path, flag in ((ortho, "--ortho"), (dsm, "--dsm")):
-        if sources is None and isinstance(path, Path) and not _is_there(path):
+        if sources is None and isinstance(path, Path) and not is_there(path):
             raise InputError(f"{flag} {path}: there is no such file")
     if isinstance(dsm, float) and not np.isfinite(dsm):
         raise InputError(f"--dsm {dsm}: give a file, or the height of the ground in metres")
     for folder in folders:
-        if not (_is_there(folder, folder=True) or _is_there(folder)):
+        if not (is_there(folder, folder=True) or is_there(folder)):
             raise InputError(f"{folder}: there is no such folder of images, nor video")
     root = Path(os.path.commonpath([folder.resolve().parent for folder in folders]))
     if accuracy is not None:
@@ -169,120 +183,67 @@ def site_from_arguments(
     else:
         covariance = _from_ce90_le90(ce90, le90, "command line", dsm, vertical_datum)
     sets = tuple((source,) for source in ground)
-    files = ReferenceFiles(ortho, dsm, vertical_datum, covariance)
+    files = ReferenceFiles(ortho, dsm, vertical_datum, covariance, **rights_beside(ortho, RIGHTS))
     return Site(root.name, root, files, tuple(airborne), sets, addressed=sources)
 
 
-def _prior(table: object, where: str) -> SearchPrior:
-    known = _table(table, where, "prior")
-    _no_others(known, KEYS, where, "prior")
-    return prior_from_table(known, where)
+@dataclass(frozen=True)
+class _Overruled:
+    """What the command line says in place of a site.toml."""
+
+    vertical_datum: str | None
+    ce90: float | None
+    le90: float | None
+    accuracy: str | None
 
 
-def _read_toml(path: Path) -> dict[str, object]:
-    if _is_there(path, folder=True):
-        raise InputError(f"{path}: is a folder; give the site.toml in it")
-    try:
-        # utf-8-sig: editors of Windows put a byte order mark in front.
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except RecursionError:
-        raise InputError(f"{path}: is not valid TOML: brackets within brackets without end") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:  # of the decoder, of the letters, and of numbers with thousands of digits
-        raise InputError(f"{path}: is not valid TOML: {error}") from error
+def _prior(table: object, problems: Problems) -> SearchPrior:
+    known = known_keys(table_of(table, problems.where, "prior"), KEYS, "prior", problems)
+    return prior_from_table(known, problems.where)
 
 
-def _table(value: object, where: str, key: str) -> dict[str, object]:
-    if value is None:
-        raise InputError(f"{where}: the table [{key}] is missing")
-    if not isinstance(value, dict):
-        raise InputError(f"{where}: {key} must be a table: write [{key}] on a line of its own")
-    return value
+def _ground(root: Path, entries: object, problems: Problems) -> tuple[tuple[Path, ...], ...]:
+    """The folders and videos of each set of ground photos."""
+    if not isinstance(entries, list):
+        text = f"{problems.where}: write [[ground]] with double brackets, once for each set of ground images"
+        problems.found.append(InputError(text))
+        return ()
+    return tuple(problems.value(partial(images_of, root, entry, "ground", problems), ()) for entry in entries)
 
 
-def _no_others(table: Mapping[str, object], known: Sequence[str], where: str, group: str) -> None:
-    for key in table:
-        if key not in known:
-            inside = f" in [{group}]" if group else ""
-            raise InputError(f"{where}: unknown key {key}{inside}; {nearest(key, known)}")
-
-
-def _text(value: object, where: str, key: str) -> str:
-    if not isinstance(value, str) or not value.strip():
-        raise InputError(f"{where}: {key} = {value!r} must be text in quotes")
-    return value
-
-
-def _number(value: object, where: str, key: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{where}: {key} = {value!r} must be a number of metres")
-    try:
-        return float(value)
-    except OverflowError:
-        raise InputError(f"{where}: {key} is too large for a number of metres") from None
-
-
-def _is_there(path: Path, *, folder: bool = False) -> bool:
-    """Whether there is such a file, or folder; False also for names that no file can have."""
-    try:
-        return path.is_dir() if folder else path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
-def _existing(root: Path, table: Mapping[str, object], key: str, where: str, group: str) -> Path:
-    if key not in table:
-        raise InputError(f"{where}: {key} is missing in [{group}]")
-    path = root / _text(table[key], where, f"{group}.{key}")
-    if not _is_there(path):
-        raise InputError(f"{where}: {group}.{key}: there is no file {path}")
-    return path
-
-
-def _sources(
-    root: Path, reference: Mapping[str, object], where: str
-) -> tuple[Path, Path | float | None, Addressed | None]:
-    """Orthophoto, DSM or height, and their addresses where they have some: then their paths are those of the run."""
+def _reference(
+    root: Path, reference: Mapping[str, object], overruled: _Overruled, problems: Problems
+) -> tuple[ReferenceFiles, Addressed | None]:
+    """The files of the reference, and their addresses where they have some: then the paths are those of the run."""
+    where, unread = problems.where, root / "unread"  # stands for files that are missing, and is never returned
     sources = addressed(root, reference.get("ortho"), reference.get("dsm"))
+    ortho: Path = ORTHO
+    dsm: Path | float | None = DSM
     if sources is None:
-        return _existing(root, reference, "ortho", where, "reference"), _heights(root, reference, where), None
-    return ORTHO, DSM if sources.dsm is not None else _heights(root, reference, where), sources
+        ortho = problems.value(lambda: existing(root, reference, "ortho", where, "reference"), unread)
+    if sources is None or sources.dsm is None:
+        dsm = problems.value(partial(heights_of, root, reference, where), unread)
+    if overruled.accuracy is not None:
+        reference = {key: value for key, value in reference.items() if key not in ACCURACY_KEYS}
+        reference["accuracy"] = overruled.accuracy
+    datum, ce90, le90 = overruled.vertical_datum, overruled.ce90, overruled.le90
+    if datum is None and "vertical_datum" in reference:
+        datum = problems.value(lambda: text_of(reference["vertical_datum"], where, "reference.vertical_datum"), "")
+    covariance = UNKNOWN_ACCURACY
+    with problems.collected():
+        if ce90 is not None or le90 is not None:
+            covariance = _from_ce90_le90(ce90, le90, "command line", dsm, datum)
+        else:
+            covariance = _covariance(reference, where, dsm, datum)
+    rights = {
+        key: problems.value(partial(text_of, reference[key], where, f"reference.{key}"), "")
+        for key in RIGHTS
+        if key in reference
+    }
+    return ReferenceFiles(ortho, dsm, datum, covariance, **rights), sources
 
 
-def _heights(root: Path, reference: Mapping[str, object], where: str) -> Path | float | None:
-    """The file of the DSM, one height in metres, or None where the key is missing."""
-    value = reference.get("dsm")
-    if value is None or isinstance(value, str):
-        return None if value is None else _existing(root, reference, "dsm", where, "reference")
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{where}: reference.dsm = {value!r} must be a file in quotes, or a height in metres")
-    height = _number(value, where, "reference.dsm")
-    if not np.isfinite(height):
-        raise InputError(f"{where}: reference.dsm = {value!r} must be a height in metres")
-    return height
-
-
-def _images(root: Path, entry: object, where: str, group: str) -> tuple[Path, ...]:
-    """The folders and videos of a set."""
-    table = _table(entry, where, group)
-    _no_others(table, ("images",), where, group)
-    if "images" not in table:
-        raise InputError(f"{where}: images is missing in [{group}]; name the folder of the images")
-    value = table["images"]
-    listed = value if isinstance(value, list) and value else [value]
-    sources = tuple(root / _text(one, where, f"{group}.images") for one in listed)
-    for source in sources:
-        if not (_is_there(source, folder=True) or _is_there(source)):
-            raise InputError(f"{where}: {group}.images: there is no folder {source}, nor video")
-    return sources
-
-
-def _covariance(
-    reference: Mapping[str, object], where: str, dsm: Path | float | None, vertical_datum: str | None
-) -> Array:
+def _covariance(reference: Mapping[str, object], where: str, dsm: Path | float | None, vertical_datum: object) -> Array:
     stated = [key for key in ("covariance", "accuracy") if key in reference]
     stated += ["ce90/le90"] if "ce90" in reference or "le90" in reference else []
     if len(stated) > 1:
@@ -292,9 +253,9 @@ def _covariance(
     if "covariance" in reference:
         return checked_covariance(reference["covariance"], name=f"{where}: reference.covariance")  # type: ignore[arg-type]
     ce90, le90 = (
-        _number(reference[key], where, f"reference.{key}") if key in reference else None for key in ("ce90", "le90")
+        number_of(reference[key], where, f"reference.{key}") if key in reference else None for key in ("ce90", "le90")
     )
-    return _from_ce90_le90(ce90, le90, where, dsm, vertical_datum or reference.get("vertical_datum"))
+    return _from_ce90_le90(ce90, le90, where, dsm, vertical_datum)
 
 
 def _unknown(accuracy: object, name: str) -> Array:
@@ -323,7 +284,7 @@ def _from_ce90_le90(
 
 def _states_datum(dsm: Path | float | None) -> bool:
     """Whether the file of a DSM says which vertical datum it has, or is not here to say it."""
-    if not isinstance(dsm, Path) or not _is_there(dsm):
+    if not isinstance(dsm, Path) or not is_there(dsm):
         return not isinstance(dsm, int | float)
     try:
         return MapRaster.of(dsm).vertical_datum is not None

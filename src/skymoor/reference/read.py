@@ -83,22 +83,23 @@ def read_reference(
 
 
 def read_part(
-    ortho: Path, dsm: Path | float | None, vertical_datum: str | None, whole: Reference, bounds_m: Sequence[float]
-) -> Reference:
-    """A part of a reference read again at the pixel of its orthophoto, in the frame of the whole.
+    ortho: Path,
+    dsm: Path | float | None,
+    vertical_datum: str | None,
+    frame: EnuFrame,
+    bounds_m: Sequence[float],
+    pixel_m: float,
+) -> tuple[Grid, Image, Mask, Array32]:
+    """The grid of a part of a reference with its colours, where they are valid, and heights, at any pixel.
 
-    `ortho`, `dsm` and `vertical_datum` are those that `whole` was read from; `bounds_m` are west, south, east and north
-    in its frame, and what lies beyond the whole is left out. Raises `InputError` where the files have changed.
+    `ortho`, `dsm` and `vertical_datum` are those of a reference that was read, and checked, in `frame`; `bounds_m` are
+    west, south, east and north in it. Raises `InputError` where the files cannot be read.
     """
-    maps, pixel = _maps(ortho, dsm), whole.finest_m
-    bounds = np.array(
-        [*np.maximum(bounds_m[:2], whole.grid.bounds[:2]), *np.minimum(bounds_m[2:], whole.grid.bounds[2:])]
-    )
-    shape = (max(1, round((bounds[3] - bounds[1]) / pixel)), max(1, round((bounds[2] - bounds[0]) / pixel)))
-    grid = Grid(float(bounds[0]), float(bounds[3]), pixel, shape)
+    maps, (west, south, east, north) = _maps(ortho, dsm), bounds_m
+    shape = (max(1, round((north - south) / pixel_m)), max(1, round((east - west) / pixel_m)))
+    grid = Grid(float(west), float(north), pixel_m, shape)
     with _opened(maps, dsm, vertical_datum, _outline(maps), Dsm.unchecked) as (source, ground):
-        rgb, mask, height = _resampled(source, maps, ground, whole.frame, grid, no_progress)
-    return replace(whole, grid=grid, rgb=rgb, mask=mask, height=height, notes=())
+        return grid, *_resampled(source, maps, ground, frame, grid, no_progress)
 
 
 def _maps(ortho: Path, dsm: Path | float | None) -> list[MapRaster]:

@@ -109,8 +109,9 @@ def write_rasters(
     store: Store,
     progress: Progress,
 ) -> None:
-    """pointcloud.laz, ortho.tif, dsm.tif and confidence.tif of all registered components."""
+    """pointcloud.laz, ortho.tif, dsm.tif and confidence.tif of all registered components with heights."""
     names = ("pointcloud.laz", "ortho.tif", "dsm.tif", "confidence.tif")
+    components = [item for item in components if not item.flat]  # a plane is no surface
     rasters = model_rasters(components, progress=progress)
     try:
         cloud = pointcloud_las(*_cloud(components, min_confidence), reference.frame, reference.crs)

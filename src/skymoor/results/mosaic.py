@@ -14,12 +14,14 @@ from rasterio.windows import Window
 from skymoor.errors import InputError
 from skymoor.geo import EnuFrame, Grid
 from skymoor.reference.raster import MapRaster, opened, read_colours, read_heights
-from skymoor.reference.read import read_reference
+from skymoor.reference.read import read_part, read_reference
 from skymoor.results.read import Result
 from skymoor.types import Array, Array32, Image, Mask, Reference
 
 SAME_PLACE_DEG, SAME_HEIGHT_M = 1e-7, 0.05
 SPARE_M = 20.0
+LARGE_PX = 40e6  # of an orthophoto, beyond which reading all of it takes minutes
+AROUND_M = 150.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +76,36 @@ def _reference(result: Result, max_pixels: float) -> tuple[Reference | None, str
     missing = next((path for path in (ortho, dsm) if isinstance(path, Path) and not path.is_file()), None)
     if missing is not None:
         return None, f"{missing}: the reference is not where the run found it; its images are left out"
+    datum, area = files.get("vertical_datum"), files.get("area")
     try:
-        found = read_reference(ortho, dsm, files.get("vertical_datum"), result.covariance, max_pixels=max_pixels)
+        bounds = _shown(result, ortho)
+        if bounds is not None:
+            west, south, east, north = bounds
+            pixel_m = float(np.sqrt((east - west) * (north - south) / max_pixels))
+            part = read_part(ortho, dsm, datum, result.frame, bounds, max(pixel_m, files.get("pixel_m") or 0.0))
+            return Reference(result.frame, *part, result.covariance, float("nan")), ""
+        found = read_reference(ortho, dsm, datum, result.covariance, max_pixels=max_pixels, area=area)
     except InputError as error:
         return None, str(error)
     moved = abs(found.frame.lat_deg - result.frame.lat_deg) + abs(found.frame.lon_deg - result.frame.lon_deg)
     if moved > SAME_PLACE_DEG or abs(found.frame.height_m - result.frame.height_m) > SAME_HEIGHT_M:
         return None, f"{ortho}: the reference is not the one of the run any more; its images are left out"
     return found, ""
+
+
+def _shown(result: Result, ortho: Path) -> tuple[float, float, float, float] | None:
+    """West, south, east and north of what is shown of a large reference: the cameras and what is around them.
+
+    None where all of it is shown: because it is small, or nothing was placed in it.
+    """
+    rows, columns = MapRaster.of(ortho).shape
+    plan = np.array([[row.east, row.north] for row in result.cameras if row.east is not None], dtype=np.float64)
+    if rows * columns <= LARGE_PX or not len(plan):
+        return None
+    low, high = plan.min(axis=0), plan.max(axis=0)
+    margin = max(float((high - low).max()), AROUND_M)
+    west, south, east, north = np.concatenate([low - margin, high + margin]).tolist()
+    return west, south, east, north
 
 
 def _grid_of(ortho: Path, frame: EnuFrame, max_pixels: float) -> Grid | None:

@@ -37,13 +37,14 @@ from skymoor.results.report.renderings import (
     overlay_figure,
     residual_figure,
 )
+from skymoor.results.request import credits_of, first_photo, request_of
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow
-from skymoor.sources.addresses import public_address
 from skymoor.store import Store, name_prefix
 from skymoor.types import Array, HeightStatus, Progress, Reference, Render, no_progress
 
 NO_COMPONENT = "no three photos have enough matches to be reconstructed together"
 REGISTERED, NOT_REGISTERED = "REGISTERED", "NOT_REGISTERED"
+SHOWN_POINTS = 200
 SHOWN_AROUND, SHOWN_PX = 0.3, 40  # of the reference around the matches in pictures: share of their extent, and pixels
 
 
@@ -59,12 +60,14 @@ class SetResult:
 
 
 def accuracy_of(item: ComponentResult, reference: Reference) -> CameraAccuracy:
-    """Covariances of the camera centres of a registered component.
+    """Covariances of the camera centres of a registered component, or without cameras of points on its surface.
 
     A ground component is registered to an airborne one, and inherits its covariance at the position of its cameras.
     """
     base, shape = item.base, item.shape_enu
     centres = np.array([camera.centre for camera in item.cameras_enu]).reshape(-1, 3)
+    if not item.component.cameras:
+        return camera_accuracy(item.registration, _surface_points(item), reference, None)
     if item.scaled_by_focal_length:
         viewed = item.viewed_enu if item.registration.registered else None
         return camera_accuracy(item.registration, centres, reference, item.component.calibration, shape, viewed)
@@ -73,6 +76,13 @@ def accuracy_of(item: ComponentResult, reference: Reference) -> CameraAccuracy:
         return found
     carried = camera_accuracy(base.registration, centres, reference, base.component.calibration)
     return CameraAccuracy(found.shared, found.relative + carried.relative)
+
+
+def _surface_points(item: ComponentResult) -> Array:
+    """Points (n, 3) of a registered model without cameras, ENU: its accuracy is told at these."""
+    points, transform = item.component.points, item.registration.enu_from_level
+    step = max(1, len(points) // SHOWN_POINTS)
+    return np.zeros((0, 3)) if transform is None else transform.apply(points[::step])
 
 
 def figures_of(accuracy: CameraAccuracy) -> Array:
@@ -117,6 +127,7 @@ def write_products(
             "dsm": dsm.resolve() if isinstance(dsm := site.reference.dsm, Path) else dsm,
             "vertical_datum": site.reference.vertical_datum,
             **credits_of(site),
+            "area": site.bounds.area,
             "covariance_m2": reference.covariance if reference.accuracy_known else None,
             "accuracy": "stated" if reference.accuracy_known else "unknown",
             "pixel_m": reference.grid.pixel_m,
@@ -124,25 +135,13 @@ def write_products(
         },
         "enu_origin": georeference(reference.frame, Similarity.identity())["enu_origin"],
         "provenance": provenance,
+        "request": request_of(site),
+        "person": None if site.person is None else site.person.record,
         "sets": [_set_summary(found, reference, site.root) for found in sets],
         "stages": [asdict(record) for record in store.records],
     }
     store.write_json("summary.json", summary)
     return summary
-
-
-def credits_of(site: Site) -> dict[str, str | None]:
-    """Licence, credit and date of the reference, and its addresses without keys; None where nothing is stated."""
-    files, sources = site.reference, site.addressed
-    shown = (None, None) if sources is None else (sources.ortho, sources.dsm)
-    ortho, dsm = (None if one is None else public_address(one) for one in shown)
-    return {
-        "licence": files.licence,
-        "credit": files.credit,
-        "date": files.date,
-        "ortho_source": ortho,
-        "dsm_source": dsm,
-    }
 
 
 def camera_rows(found: SetResult, reference: Reference) -> list[CameraRow]:
@@ -151,7 +150,7 @@ def camera_rows(found: SetResult, reference: Reference) -> list[CameraRow]:
     seen: set[str] = set()
     for k, item in enumerate(found.components):
         mine: list[CameraRow] = []
-        if item.registration.registered:
+        if item.registration.registered and item.component.cameras:
             figures = figures_of(accuracy_of(item, reference))
             mine = placed_cameras(found.name, k, item.cameras_enu, reference.frame, figures, _height_status(item))
         registered = {row.image for row in mine}
@@ -209,6 +208,7 @@ def _component_summary(index: int, item: ComponentResult, reference: Reference) 
         "height_scale_sigma": None if item.heights is None else item.heights.scale_sigma,
         "lean_m_per_m": found.lean,
         "hypotheses": _hypotheses(item, reference),
+        "first_photo": first_photo(item),
         "contradicting_cameras": [check.image for check in item.pose_checks if check.contradicts],
     }
     if found.registered and found.enu_from_level is not None:
@@ -251,7 +251,7 @@ def _write_component(
 ) -> None:
     _write_pictures(name, item, reference, options, store)
     found, enu = item.registration, item.component_enu
-    if enu is not None and found.enu_from_level is not None:
+    if enu is not None and enu.cameras and found.enu_from_level is not None:
         store.write_folder(f"colmap/{name}", lambda folder: write_colmap(enu, folder))
         transform = found.enu_from_level @ item.level_from_sfm
         store.write_json(

@@ -24,7 +24,8 @@ PRODUCTS = (
         "dsm.tif",
         "confidence.tif",
     ),
-    *("renders", "matches", "evaluation.json", "report.html", "run.log", FETCHED, FRAMES, STAGES),
+    *("renders", "matches", "evaluation.json", "report.html", "run.log", "placed", "answers.json"),
+    *(FETCHED, FRAMES, STAGES),
 )
 """What skymoor writes into a run directory, or deletes from it."""
 MARKS = (LOCK, "summary.json", STAGES)

@@ -12,6 +12,7 @@ from scipy.stats import t as student
 
 from skymoor.geometry import Similarity
 from skymoor.ground.plan_view import ScoreOptions
+from skymoor.ground.walls.shared_error import with_shared_error
 from skymoor.registration.criteria import ESTIMATE, criterion, with_criteria
 from skymoor.types import Array, Criterion, Registration
 
@@ -250,7 +251,7 @@ def decide_ground(
         "cells": float(best.cells),
     }
     criteria = [found_any, *_criteria(best, ratio, options)]
-    return with_criteria(replace(found, diagnostics=diagnostics), criteria)
+    return with_criteria(replace(with_shared_error(found), diagnostics=diagnostics), criteria)
 
 
 def _elsewhere(candidates: Sequence[RefinedHypothesis], probes: Array, apart_m: float) -> list[RefinedHypothesis]:

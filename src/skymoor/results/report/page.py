@@ -76,6 +76,8 @@ def report_page(result: Result) -> str:
         parts=parts,
         lost=[one for one in result.summary["sets"] if not one["components"]],
         lost_remedy=words.LOST_REMEDY,
+        person=words.person_words(result.summary),
+        asked=has_question(result),
         glossary=words.GLOSSARY,
         evaluation=_evaluation(result.folder),
         mosaic=mosaic,
@@ -103,6 +105,13 @@ def _part(result: Result, component: ComponentSummary, position: int) -> Part:
         if uri is not None:
             figures.append(Figure(uri, title, f"{alt} ({component.name})", size))
     return replace(part, figures=figures, residuals=_residuals(result, component))
+
+
+def has_question(result: Result) -> bool:
+    """Whether `skymoor ask` has a question about this run."""
+    airborne = any(one.image_set == "airborne" for one in result.components)
+    asked = "airborne" if airborne else "ground"
+    return any(not one.registered and one.image_set.startswith(asked) for one in result.components)
 
 
 def _residuals(result: Result, component: ComponentSummary) -> list[Markup]:

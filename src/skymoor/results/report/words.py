@@ -54,6 +54,15 @@ def verdict(component: ComponentSummary) -> str:
     return f"{words} {height_words(component)}".rstrip()
 
 
+def person_words(summary: Mapping[str, Any]) -> str:
+    """What a person stated after a refusal, empty where nobody helped."""
+    record = summary.get("person")
+    if not record:
+        return ""
+    by = f" ({record['by']})" if record["by"] else ""
+    return f"a person helped with {record['component']}: {record['words']}{by}"
+
+
 HEIGHT_WORDS = {
     "CONFIRMED": "Heights are confirmed by the relief of the reference, up to a constant offset: a geoid taken for the "
     "ellipsoid cannot be seen in photos",

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Models of other programs, registered from notebooks and scripts. The command line calls it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from os import PathLike
+from pathlib import Path
+
+from skymoor.api import StageProgress, Where, ignore, reference_of, require_run, site_of, track_stage
+from skymoor.errors import InputError
+from skymoor.models import GivenModel, read_model
+from skymoor.pipeline.addressed import with_files
+from skymoor.pipeline.given_model import register_given
+from skymoor.pipeline.job import Job
+from skymoor.pipeline.log import logged
+from skymoor.pipeline.option_parser import with_options
+from skymoor.pipeline.options import Options, check_engines
+from skymoor.pipeline.prior import SearchPrior
+from skymoor.pipeline.provenance import provenance
+from skymoor.pipeline.site import Site
+from skymoor.results.placed import place_model
+from skymoor.results.read import Result
+from skymoor.results.report.write import write_report
+from skymoor.results.write import SetResult, write_products
+from skymoor.store import Store
+from skymoor.types import Image, Photos
+
+SET = "model"
+
+
+def register_model(
+    model: Where | Sequence[Where],
+    *,
+    out: Where,
+    ortho: Where,
+    dsm: Where | float | None = None,
+    photos: Where | None = None,
+    vertical_datum: str | None = None,
+    ce90: float | None = None,
+    le90: float | None = None,
+    accuracy: str | None = None,
+    area: Sequence[float] | None = None,
+    near: Sequence[float] | None = None,
+    options: Mapping[str, object] | None = None,
+    seed: int = 0,
+    progress: StageProgress = ignore,
+    note: Callable[[str], None] = ignore,
+) -> Result:
+    """Register a model of another program on the Earth, and move its files there. Nothing is printed.
+
+    Call it again with the same `out` to go on where it stopped.
+
+    Args:
+        model: a project's folder, a file, or several files that share one coordinate system, such as an orthophoto and
+            its DSM: docs/your-models.md lists the kinds.
+        out: folder for the results; the moved files are in its folder `placed`.
+        ortho: orthophoto of the reference, or its address; this and the following as in `register`.
+        dsm: its surface model, or one height in metres.
+        photos: folder of the photos that the model was made from, where they are not beside it.
+        vertical_datum: of the heights of the reference.
+        ce90: circular error of the reference, 90 percent, metres.
+        le90: its linear error.
+        accuracy: "unknown" in place of the two.
+        area: where to search: west, south, east and north in degrees.
+        near: the same as latitude, longitude and a radius in metres.
+        options: by dotted names or nested.
+        seed: makes a run repeatable.
+        progress: called with the name of a stage, steps done and in all, and now and then a line.
+        note: called with one line for each irregularity.
+
+    Returns:
+        The result, whose only set of photos is called `model`; also where the model is refused.
+
+    Raises:
+        InputError: data or options are wrong, or the model is mirrored; one line names the file and the remedy.
+        BackendUnavailable: a library or an engine is needed that is not installed.
+    """
+    paths = [Path(one) for one in ([model] if isinstance(model, str | PathLike) else model)]
+    if not paths:
+        raise InputError("name the model: skymoor register MODEL --ortho ... --out ...")
+    site = site_of(
+        airborne=paths,
+        ortho=ortho,
+        dsm=dsm,
+        vertical_datum=vertical_datum,
+        ce90=ce90,
+        le90=le90,
+        accuracy=accuracy,
+    ).bounded(SearchPrior.of(area, near))
+    chosen = with_options(Options(), options or {})
+    weights = check_engines(chosen, ground=False)
+    require_run(site, Path(out), seed)
+    given = read_model(paths, None if photos is None else Path(photos))
+    site = replace(site, name=given.name)
+    with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
+        for text in given.notes:
+            note(text)
+        site = with_files(site, store.root, partial(track_stage, progress), note)
+        job = _job(site, given, chosen, store, seed, progress, note)
+        found = register_given(given, job)
+        moved = place_model(given, found, job.reference, store, job.track("moved files"))
+        for text in moved:
+            note(text)
+        result = SetResult(SET, paths, job.photos.names, [found], (*given.notes, *moved))
+        rasters = (site.reference.ortho, site.reference.dsm)
+        made_from = provenance(rasters, {SET: job.photos}, weights, store)
+        write_products([result], site, job.reference, chosen, seed, made_from, store, progress=job.track("products"))
+        read = Result.read(Path(out))
+        write_report(read, store)
+    return read
+
+
+def _job(
+    site: Site,
+    given: GivenModel,
+    options: Options,
+    store: Store,
+    seed: int,
+    progress: StageProgress,
+    note: Callable[[str], None],
+) -> Job:
+    track = partial(track_stage, progress)
+    reference, features = reference_of(site, store, track, note)
+    files = (site.reference.ortho, site.reference.dsm, site.reference.vertical_datum)
+    photos = given.photos or Photos(_images(given), (), _none, [(part.kind, part.path.name) for part in given.parts])
+    return Job(photos, reference, options, store, seed, track, SET, files, features=features)
+
+
+def _images(given: GivenModel) -> tuple[str, ...]:
+    """Names of the model's cameras whose photos are not here."""
+    return () if given.component is None else tuple(camera.image for camera in given.component.cameras)
+
+
+def _none(name: str) -> Image:
+    raise KeyError(f"{name}: the photos of the model are not here")

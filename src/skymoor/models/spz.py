@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gaussian splats as SPZ, Niantic's compressed form (versions 2 and 3 of the published format)."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skymoor.errors import InputError
+from skymoor.models.checks import checked_points
+from skymoor.models.given import GivenModel, Part
+from skymoor.models.ply import cloud_of_splat
+from skymoor.types import Array
+
+MAGIC, HEADER = 0x5053474E, "<IIIBBBB"
+LARGEST_POINTS = 100_000_000
+COEFFICIENTS = {0: 0, 1: 3, 2: 8, 3: 15}
+COLOUR_SCALE = 0.15
+
+
+def read_spz(path: Path) -> GivenModel:
+    """A splat. Raises `InputError` where it cannot be used."""
+    vertex = splat_of_spz(path)
+    points = checked_points(np.column_stack([vertex[axis] for axis in "xyz"]), path)
+    return GivenModel(path.stem, (Part("spz", path),), cloud_of_splat(points, vertex, path))
+
+
+def splat_of_spz(path: Path) -> NDArray[Any]:
+    """The Gaussians with the properties of a PLY of 3D Gaussian splatting. Raises `InputError`."""
+    try:
+        data = gzip.decompress(path.read_bytes())
+        magic, version, count, degree, bits, _, _ = struct.unpack_from(HEADER, data)
+        if magic != MAGIC:
+            raise ValueError("it does not begin as one")
+        if version not in (2, 3) or degree not in COEFFICIENTS or count > LARGEST_POINTS:
+            raise ValueError(f"version {version} with harmonics of degree {degree} is not known")
+        return _unpacked(_Bytes(data, struct.calcsize(HEADER)), version, count, COEFFICIENTS[degree], bits)
+    except (OSError, EOFError, ValueError, struct.error, zlib.error) as error:
+        raise InputError(f"{path}: is no SPZ file that can be read ({error}); export it again, or as PLY") from error
+
+
+@dataclass
+class _Bytes:
+    """Arrays one after the other."""
+
+    data: bytes
+    at: int
+
+    def take(self, rows: int, columns: int) -> NDArray[np.uint8]:
+        found = np.frombuffer(self.data, np.uint8, rows * columns, self.at)
+        self.at += rows * columns
+        return found.reshape(rows, columns)
+
+
+def _unpacked(source: _Bytes, version: int, count: int, coefficients: int, bits: int) -> NDArray[Any]:
+    packed = source.take(count, 9).reshape(count, 3, 3).astype(np.int32)
+    fixed = packed[..., 0] | packed[..., 1] << 8 | packed[..., 2] << 16
+    xyz = np.where(fixed >= 1 << 23, fixed - (1 << 24), fixed) / float(1 << bits)
+    opacity = np.clip(source.take(count, 1)[:, 0] / 255, 1e-4, 1 - 1e-4)
+    base = (source.take(count, 3) / 255 - 0.5) / COLOUR_SCALE
+    scales = source.take(count, 3) / 16 - 10
+    quaternions = _quaternions(source.take(count, 3 if version == 2 else 4), version)
+    rest = (source.take(count, 3 * coefficients).reshape(count, coefficients, 3).astype(np.float64) - 128) / 128
+    names = [*"xyz", *(f"f_dc_{k}" for k in range(3)), *(f"f_rest_{k}" for k in range(3 * coefficients))]
+    names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    columns = [*xyz.T, *base.T, *rest.transpose(2, 1, 0).reshape(3 * coefficients, count)]
+    columns += [np.log(opacity / (1 - opacity)), *scales.T, *quaternions.T]
+    vertex = np.empty(count, [(name, "<f4") for name in names])
+    for name, column in zip(names, columns, strict=True):
+        vertex[name] = column
+    return vertex
+
+
+def _quaternions(packed: NDArray[np.uint8], version: int) -> Array:
+    """Quaternions (n, 4), scalar first: x, y and z of 8 bits, or since version 3 all but the largest of 10 bits."""
+    if version == 2:
+        xyz = packed / 127.5 - 1
+        return np.column_stack([np.sqrt(np.maximum(1 - (xyz**2).sum(axis=1), 0)), xyz])
+    word = packed.astype(np.uint32) @ np.array([1, 1 << 8, 1 << 16, 1 << 24], np.uint32)
+    largest = (word >> 30).astype(int)
+    xyzw, rest = np.zeros((len(packed), 4)), word.copy()
+    for k in (3, 2, 1, 0):
+        used = largest != k
+        size = (rest & 511) / 511 * np.sqrt(0.5)
+        xyzw[used, k] = np.where(rest[used] >> 9 & 1, -size[used], size[used])
+        rest = np.where(used, rest >> 10, rest)
+    rows = np.arange(len(packed))
+    xyzw[rows, largest] = np.sqrt(np.maximum(1 - (xyzw**2).sum(axis=1), 0))
+    return xyzw[:, [3, 0, 1, 2]]

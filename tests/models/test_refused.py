@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Models that cannot be used end with one line that names the file and the remedy."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skymoor.errors import InputError
+from skymoor.models import read_model
+from support.given_models import write_las, write_ply, write_raster
+
+
+def points(count: int = 2000) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    return np.column_stack([rng.uniform(0, 40, count), rng.uniform(0, 30, count), rng.normal(0, 1, count)])
+
+
+def with_nan(folder: Path) -> Path:
+    xyz = points()
+    xyz[5, 1] = np.nan
+    return write_ply(folder / "m.ply", xyz)
+
+
+def geocentric_floats(folder: Path) -> Path:
+    return write_ply(folder / "m.ply", points() + [4_200_000.0, 600_000.0, 4_700_000.0])
+
+
+def without_extent(folder: Path) -> Path:
+    return write_ply(folder / "m.ply", np.zeros((2000, 3)))
+
+
+def far_too_large(folder: Path) -> Path:
+    return write_ply(folder / "m.ply", points() * 1e12, kind="f8")
+
+
+def on_a_line(folder: Path) -> Path:
+    return write_ply(folder / "m.ply", np.outer(np.arange(2000.0), [1.0, 2.0, 3.0]))
+
+
+def too_few(folder: Path) -> Path:
+    return write_las(folder / "m.las", points(20))
+
+
+def cut_off(folder: Path) -> Path:
+    whole = write_las(folder / "m.laz", points())
+    whole.write_bytes(whole.read_bytes()[:500])
+    return whole
+
+
+def with_wrong_faces(folder: Path) -> Path:
+    return write_ply(folder / "m.ply", points(), faces=[[0, 1, 99999]])
+
+
+def without_texture(folder: Path) -> Path:
+    (folder / "m.mtl").write_text("newmtl a\nmap_Kd wall.png\n")
+    (folder / "m.obj").write_text("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    return folder / "m.obj"
+
+
+def without_materials(folder: Path) -> Path:
+    (folder / "m.obj").write_text("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    return folder / "m.obj"
+
+
+def without_a_buffer(folder: Path) -> Path:
+    content = {"asset": {"version": "2.0"}, "buffers": [{"uri": "data.bin", "byteLength": 4}]}
+    (folder / "m.gltf").write_text(json.dumps(content))
+    return folder / "m.gltf"
+
+
+def draco(folder: Path) -> Path:
+    content = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_compression"]}
+    (folder / "m.gltf").write_text(json.dumps(content))
+    return folder / "m.gltf"
+
+
+def of_no_kind(folder: Path) -> Path:
+    (folder / "m.fbx").write_bytes(b"Kaydara FBX Binary")
+    return folder / "m.fbx"
+
+
+def empty_folder(folder: Path) -> Path:
+    (folder / "m").mkdir()
+    return folder / "m"
+
+
+def damaged_colmap(folder: Path) -> Path:
+    (folder / "m").mkdir()
+    for name in ("cameras", "images", "points3D"):
+        (folder / "m" / f"{name}.bin").write_bytes(b"\1\0\0\0\0\0\0\0\1")
+    return folder / "m"
+
+
+def transforms_without_a_cloud(folder: Path) -> Path:
+    frame = {"file_path": "a.jpg", "transform_matrix": np.eye(4).tolist(), "w": 100, "h": 80, "fl_x": 90}
+    (folder / "transforms.json").write_text(json.dumps({"frames": [frame] * 3}))
+    return folder / "transforms.json"
+
+
+def damaged_json(folder: Path) -> Path:
+    (folder / "transforms.json").write_text("{")
+    return folder / "transforms.json"
+
+
+def metashape_alone(folder: Path) -> Path:
+    (folder / "m.xml").write_text('<document version="2.0"><chunk><cameras/></chunk></document>')
+    return folder / "m.xml"
+
+
+def empty_orthophoto(folder: Path) -> Path:
+    return write_raster(folder / "m.tif", np.zeros((3, 50, 50), np.uint8))
+
+
+def tiny_orthophoto(folder: Path) -> Path:
+    return write_raster(folder / "m.tif", np.full((3, 10, 50), 90, np.uint8))
+
+
+def not_there(folder: Path) -> Path:
+    return folder / "m.laz"
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (with_nan, "NaN"),
+        (geocentric_floats, "32-bit"),
+        (without_extent, "no scale of sense"),
+        (far_too_large, "no scale of sense"),
+        (on_a_line, "one line"),
+        (too_few, "at least 500"),
+        (cut_off, "LAS"),
+        (with_wrong_faces, "faces"),
+        (without_texture, "wall.png is missing"),
+        (without_materials, "materials"),
+        (without_a_buffer, "data.bin is missing"),
+        (draco, "compressed"),
+        (of_no_kind, "export it as GLB"),
+        (empty_folder, "has no model"),
+        (damaged_colmap, "COLMAP"),
+        (transforms_without_a_cloud, "ply_file_path"),
+        (damaged_json, "JSON"),
+        (metashape_alone, "mesh or cloud"),
+        (empty_orthophoto, "no data"),
+        (tiny_orthophoto, "only 50 by 10"),
+        (not_there, "no such file"),
+    ],
+)
+def test_one_line_names_the_file_and_the_remedy(make: Callable[[Path], Path], says: str, tmp_path: Path) -> None:
+    path = make(tmp_path)
+    with pytest.raises(InputError) as error:
+        read_model([path])
+    line = str(error.value)
+    assert says in line and "\n" not in line
+    assert path.stem in line and (";" in line or "no such" in line)
+
+
+def test_two_sets_of_cameras_are_no_model(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        for file in ("cameras", "images", "points3D"):
+            (tmp_path / name / f"{file}.txt").write_text("")
+    with pytest.raises(InputError, match="one model at a time"):
+        read_model([tmp_path / "a", tmp_path / "b"])
