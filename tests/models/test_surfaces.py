@@ -256,3 +256,16 @@ def test_a_gltf_that_is_higher_than_wide_has_another_up(tmp_path: Path) -> None:
     content = (tmp_path / "m.glb").read_bytes()
     length = struct.unpack_from("<I", content, 12)[0]
     assert json.loads(content[20 : 20 + length])["asset"]["version"] == "2.0"
+
+
+def test_vertices_of_a_glb_keep_their_colours_beside_a_plain_material(tmp_path: Path) -> None:
+    from skymoor.geo import EnuFrame
+    from skymoor.results.formats import mesh_glb
+
+    grid = textured(tmp_path)
+    colours = np.random.default_rng(0).integers(0, 255, (len(grid.vertices), 3), np.uint8)
+    frame = EnuFrame(46.0, 7.0, 500.0)
+    (tmp_path / "m.glb").write_bytes(mesh_glb(grid.vertices, colours, grid.faces.astype(np.uint32), frame))
+    mesh = read_model([tmp_path / "m.glb"]).surface
+    assert isinstance(mesh, Mesh) and mesh.colours is not None
+    assert np.abs(mesh.colours.astype(int) - colours).max() <= 1

@@ -55,7 +55,7 @@ def contents(folder: Path) -> dict[str, tuple[bytes, int]]:
 
 def test_a_run_can_read_it(site: Site, truth_world: World) -> None:
     read = load_site(site.toml)
-    assert read.airborne == site.folder / "airborne" and read.ground == (site.folder / "ground",)
+    assert read.airborne == (site.folder / "airborne",) and read.ground == ((site.folder / "ground",),)
     np.testing.assert_allclose(read.reference.covariance, site.covariance, rtol=1e-12)
     reference = read_reference(
         read.reference.ortho, read.reference.dsm, read.reference.vertical_datum, read.reference.covariance

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from skymoor.types import Image
 TALLER = 1.5
 """Ratio of the extents along y and z from which y is not up: places are wider than they are high."""
 JSON_CHUNK = b"JSON"
+OWN_COLOURS = "_SKYMOOR_COLOURS"
 PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 
 
@@ -40,11 +42,34 @@ def read_gltf(path: Path) -> GivenModel:
         raise InputError(f"{path}: is compressed ({packed}); export it without compression")
     files = [one["uri"] for kind in ("images", "buffers") for one in content.get(kind, []) if "uri" in one]
     _require_images(path, [unquote(uri) for uri in files if not uri.startswith("data:")])
-    mesh = _loaded(path)
+    mesh = _loaded(path, _with_vertex_colours(path, content))
     low, high = np.percentile(mesh.vertices, [1, 99], axis=0)
     is_y_up = high[1] - low[1] < TALLER * (high[2] - low[2])
     up = geocentric_up(mesh.vertices)
     return GivenModel(path.stem, (Part("gltf", path),), mesh, up=(Y_UP if is_y_up else None) if up is None else up)
+
+
+def _with_vertex_colours(path: Path, content: dict[str, Any]) -> bytes:
+    """The file with colours of vertices as a plain attribute, where their material has no image.
+
+    trimesh drops them beside a material, and reads colours of 16 bits as if they had 8.
+    """
+    materials = content.get("materials", [])
+    for mesh in content.get("meshes", []):
+        for one in mesh.get("primitives", []):
+            look = materials[one["material"]] if one.get("material", len(materials)) < len(materials) else {}
+            if "COLOR_0" in one.get("attributes", {}) and "Texture" not in json.dumps(look):
+                one["attributes"][OWN_COLOURS] = one["attributes"].pop("COLOR_0")
+    data = path.read_bytes()
+    return with_json(data, content) if data.startswith(b"glTF") else json.dumps(content).encode()
+
+
+def with_json(data: bytes, content: dict[str, Any]) -> bytes:
+    """A GLB with another JSON and the same binary chunk."""
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), JSON_CHUNK) + text + data[20 + struct.unpack_from("<I", data, 12)[0] :]
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 def gltf_json(path: Path) -> dict[str, Any]:
@@ -93,11 +118,16 @@ def _require_images(path: Path, names: Sequence[str]) -> None:
         raise InputError(f"{path}: its texture {missing[0]}{more} is missing; put it beside the mesh")
 
 
-def _loaded(path: Path) -> Mesh:
-    """All triangles of a scene, as trimesh reads it."""
+def _loaded(path: Path, content: bytes | None = None) -> Mesh:
+    """All triangles of a scene, as trimesh reads it; of `content` in the place of the file's."""
     trimesh = require("trimesh", "models")
     try:
-        scene = trimesh.load_scene(str(path), process=False)
+        if content is None:
+            scene = trimesh.load_scene(str(path), process=False)
+        else:
+            beside = trimesh.resolvers.FilePathResolver(str(path))
+            kind = "glb" if content.startswith(b"glTF") else "gltf"
+            scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, resolver=beside, process=False)
         parts = [one for one in scene.dump() if hasattr(one, "faces") and len(one.faces)]
     except Exception as error:  # of a damaged file, anything
         raise InputError(f"{path}: is no mesh that can be read ({error}); export it again") from error
@@ -133,6 +163,13 @@ def _image(part: Any) -> Image | None:
 
 
 def _colours(part: Any) -> Image | None:
+    own = next((values for name, values in part.vertex_attributes.items() if name.strip("_") == OWN_COLOURS[1:]), None)
+    if own is not None:
+        largest = np.iinfo(own.dtype).max if own.dtype.kind == "u" else 1.0
+        linear = np.clip(np.asarray(own, np.float64)[:, :3] / largest, 0, 1)
+        # glTF counts light, pictures what the eye sees.
+        seen = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        return np.asarray(np.rint(255 * seen), np.uint8)
     if part.visual.kind != "vertex":
         return None
     return np.asarray(part.visual.vertex_colors, np.uint8)[:, :3]

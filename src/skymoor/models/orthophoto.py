@@ -37,11 +37,12 @@ def read_orthophoto(ortho: Path, dsm: Path | None) -> GivenModel:
         pixel = max(min(width, height), max(width * source.width, height * source.height) / LARGEST_PX)
         shape = (max(1, round(source.height * height / pixel)), max(1, round(source.width * width / pixel)))
         rgb, mask = _colours(source, shape, ortho)
-        heights = None if dsm is None else _heights(dsm, source, shape)
+        scaled = dsm is not None and _has_position(dsm) and not source.transform.is_identity
+        heights = _heights(dsm, source, shape) if dsm is not None and scaled else None
         own = model_from_px @ Affine.scale(source.width / shape[1], source.height / shape[0])
     if mask.mean() < SMALLEST_SHARE:
         raise InputError(f"{ortho}: has no data in {1 - mask.mean():.0%} of its pixels; check its nodata value")
-    if dsm is not None and heights is None:
+    if scaled and heights is None:
         raise InputError(f"{dsm}: has no heights where {ortho} has colours; give the DSM that belongs to it")
     if own.determinant > 0:  # rows go north
         rgb, mask, heights = rgb[::-1], mask[::-1], None if heights is None else heights[::-1]
@@ -120,12 +121,18 @@ def _border(rgb: Image) -> Mask:
     return outside
 
 
+def _has_position(dsm: Path) -> bool:
+    """Whether a DSM has a geotransform: without one nothing says how its heights compare with its pixels."""
+    with raster(dsm) as source:
+        return not source.transform.is_identity
+
+
 def _heights(dsm: Path, ortho: DatasetReader, shape: tuple[int, int]) -> Array32 | None:
     """Heights (h, w) on the orthophoto's pixels, NaN where unknown; None where none are."""
     with raster(dsm) as source:
         if source.crs is not None and ortho.crs is not None and source.crs != ortho.crs:
             raise InputError(f"{dsm}: has another coordinate reference system than its orthophoto; warp it to that")
-        dsm_from_ortho = _pixels(source, ortho)
+        dsm_from_ortho = ~source.transform @ ortho.transform
         step = max(1.0, max(source.height, source.width) / (2 * LARGEST_PX))
         size = max(1, round(source.height / step)), max(1, round(source.width / step))
         heights = source.read(1, out_shape=size, resampling=Resampling.nearest).astype(np.float32)
@@ -145,10 +152,3 @@ def _heights(dsm: Path, ortho: DatasetReader, shape: tuple[int, int]) -> Array32
         borderValue=float("nan"),
     )
     return np.asarray(found, np.float32) if np.isfinite(found).any() else None
-
-
-def _pixels(dsm: DatasetReader, ortho: DatasetReader) -> Affine:
-    """From pixels of the orthophoto to those of the DSM; without positions, both cover the same."""
-    if dsm.transform.is_identity or ortho.transform.is_identity:
-        return Affine.scale(dsm.width / ortho.width, dsm.height / ortho.height)
-    return ~dsm.transform @ ortho.transform

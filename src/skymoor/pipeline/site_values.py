@@ -71,7 +71,7 @@ def read_toml(path: Path) -> dict[str, object]:
 
 
 def rights_beside(ortho: Path, keys: Sequence[str]) -> dict[str, str]:
-    """Licence, credit and date of an orthophoto that `skymoor reference` fetched, from the table that it wrote beside it.
+    """Licence, credit and date of an orthophoto that `skymoor reference` fetched, from the table beside it.
 
     Nothing else is taken from there: a datum or an accuracy is stated by who runs it.
     """

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import json
 import shutil
-import struct
 from pathlib import Path
 from urllib.parse import unquote
 
 import numpy as np
 
-from skymoor.models.mesh import gltf_json, images_of, materials_of
+from skymoor.models.mesh import gltf_json, images_of, materials_of, with_json
 from skymoor.results.formats.gltf import origin_of
 from skymoor.results.placed.placement import Placement
 
@@ -50,14 +49,9 @@ def move_gltf(path: Path, folder: Path, placement: Placement) -> list[str]:
         nodes.append({"name": "skymoor", "matrix": matrix.T.ravel().tolist(), "children": scene.get("nodes", [])})
         scene["nodes"] = [len(nodes) - 1]
     content["asset"]["extras"] = {**content["asset"].get("extras", {}), **origin_of(placement.frame)}
-    text = json.dumps(content).encode()
     data = path.read_bytes()
-    if data.startswith(b"glTF"):
-        length = struct.unpack_from("<I", data, 12)[0]
-        text += b" " * (-len(text) % 4)
-        chunks = struct.pack("<I4s", len(text), b"JSON") + text + data[20 + length :]
-        text = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-    (folder / path.name).write_bytes(text)
+    moved = with_json(data, content) if data.startswith(b"glTF") else json.dumps(content).encode()
+    (folder / path.name).write_bytes(moved)
     files = [one["uri"] for kind in ("images", "buffers") for one in content.get(kind, []) if "uri" in one]
     for uri in files:
         if not uri.startswith("data:"):
