@@ -242,10 +242,15 @@ class Export:
 
 @dataclass(frozen=True)
 class Report:
-    """Write report.html of a finished run again."""
+    """Write report.html of a finished run again.
+
+    For example: skymoor report result --pdf
+    """
 
     run: Annotated[Path, tyro.conf.Positional]
     """Folder of the run."""
+    pdf: bool = False
+    """Also report.pdf, printed by Chromium, Chrome or Edge."""
 
 
 @dataclass(frozen=True)

@@ -182,12 +182,15 @@ def export(command: Export) -> None:
 def report(command: Report) -> None:
     """`skymoor report`."""
     from skymoor.results.read import Result
+    from skymoor.results.report.pdf import print_report
     from skymoor.results.report.write import rewrite_report
     from skymoor.store import Store
 
     result = Result.read(command.run)  # first, or the folder would be made into that of a run
     with Screen(plain=True) as screen, Store.open(command.run) as store:
         screen.note(str(rewrite_report(result, store)))
+        if command.pdf:
+            screen.note(str(print_report(command.run)))
 
 
 def view(command: View) -> None:

@@ -108,7 +108,7 @@ def write_products(
     """Write all products of a run; returns the summary. `provenance` is what the run was made from."""
     rows = [row for found in sets for row in camera_rows(found, reference)]
     # Of the cameras of a former run; the summary comes back last, so that none describes products of another run.
-    for name in ("report.html", "evaluation.json", "summary.json"):
+    for name in ("report.html", "report.pdf", "evaluation.json", "summary.json"):
         store.remove(name)
     store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
     store.write_json("cameras.geojson", cameras_geojson(rows))

@@ -24,7 +24,7 @@ PRODUCTS = (
         "dsm.tif",
         "confidence.tif",
     ),
-    *("renders", "matches", "evaluation.json", "report.html", "run.log", "placed", "answers.json"),
+    *("renders", "matches", "evaluation.json", "report.html", "report.pdf", "run.log", "placed", "answers.json"),
     *(FETCHED, FRAMES, STAGES),
 )
 """What skymoor writes into a run directory, or deletes from it."""

@@ -103,3 +103,5 @@
   window.addEventListener("resize", show);
   show();
 })();
+// What is folded away is printed as well.
+addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((one) => (one.open = true)));
