@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,41 +14,32 @@ from typing import Any
 import numpy as np
 
 from skymoor.errors import InputError, TooFewMatches
-from skymoor.geo.operations import installed_grids
 from skymoor.match import CyclicOptions, DenseMatcher, SearchOptions, StructuralMatcher, match_hypothesis
 from skymoor.match.decoys import decoy_scores
-from skymoor.match.features import Features
 from skymoor.match.search import search_hypotheses
 from skymoor.orient import estimate_gravity, level_from_gravity
 from skymoor.pipeline.addressed import with_files
 from skymoor.pipeline.airborne import register_airborne
 from skymoor.pipeline.estimate import Step, estimate_run
-from skymoor.pipeline.feature_index import checked_index, reference_features
 from skymoor.pipeline.ground import register_ground_sets, register_ground_sets_on_map
-from skymoor.pipeline.job import Job
+from skymoor.pipeline.jobs import StageProgress, jobs_of, require_run, track_stage
 from skymoor.pipeline.log import logged
 from skymoor.pipeline.option_parser import with_options
 from skymoor.pipeline.options import Options, check_engines
-from skymoor.pipeline.photo_sets import PhotoSet, find_sets, notes_of, require_distinct, sizes_of
+from skymoor.pipeline.photo_sets import find_sets, notes_of, sizes_of
 from skymoor.pipeline.prior import SearchPrior
 from skymoor.pipeline.provenance import provenance
-from skymoor.pipeline.site import ReferenceFiles, Site, load_site, site_from_arguments
+from skymoor.pipeline.site import Site, load_site, site_from_arguments
 from skymoor.pipeline.site_values import site_file
-from skymoor.reference.raster import raster_files
 from skymoor.reference.read import read_reference
 from skymoor.registration.significance import false_alarm_probability
 from skymoor.results.read import Result
 from skymoor.results.report.write import write_report
 from skymoor.results.write import SetResult, write_products
-from skymoor.store import PRODUCTS, Store, has_metadata
-from skymoor.types import Array, Component, Matches2D, Progress, Raster, Reference, no_progress
+from skymoor.store import Store
+from skymoor.types import Array, Component, Matches2D, Progress, Raster, no_progress
 
 Where = str | PathLike[str]
-StageProgress = Callable[..., None]
-"""Called with the name of a stage, steps done, steps in all, and now and then a line about how it goes."""
-
-LOG = logging.getLogger("skymoor")
-LARGEST_SEED = 2**31 - 1  # COLMAP's
 
 
 def ignore(*_: object) -> None:
@@ -120,7 +110,7 @@ def register(
     sets = find_sets(loaded)
     with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
         loaded = with_files(loaded, store.root, partial(track_stage, progress), note)
-        jobs = _jobs(loaded, sets, chosen, store, seed, progress, note)
+        jobs = jobs_of(loaded, sets, chosen, store, seed, progress, note)
         if not loaded.airborne:
             results = register_ground_sets_on_map(jobs)
         else:
@@ -275,87 +265,3 @@ def site_of(
 
 def _paths(given: Where | Sequence[Where]) -> tuple[Path, ...]:
     return tuple(Path(one) for one in ([given] if isinstance(given, str | PathLike) else given))
-
-
-def _rasters(files: ReferenceFiles) -> list[Path]:
-    """The files of the reference."""
-    return [path for path in (files.ortho, files.dsm) if isinstance(path, Path)]
-
-
-def reference_of(
-    site: Site, store: Store, track: Callable[[str], Progress], note: Callable[[str], None]
-) -> tuple[Reference, Callable[[], Features]]:
-    """The reference of a site, and its local features, which are found when they are first asked for."""
-    files = site.reference
-    reference = store.stage(
-        "reference",
-        read_reference,
-        files.ortho,
-        files.dsm,
-        files.vertical_datum,
-        files.covariance,
-        area=site.bounds.area,
-        progress=track("reference"),
-        depends_on=(raster_files(*_rasters(files)), installed_grids()),
-    )
-    for text in reference.notes:
-        note(text)
-        LOG.info("reference: %s", text)
-    index, why_not = checked_index(files.ortho, store.files.sha256(files.ortho))
-    if why_not:
-        note(why_not)
-    features = cache(lambda: store.stage("reference.features", reference_features, reference, files.ortho, index))
-    return reference, features
-
-
-def _jobs(
-    site: Site,
-    sets: Sequence[PhotoSet],
-    options: Options,
-    store: Store,
-    seed: int,
-    progress: StageProgress,
-    note: Callable[[str], None],
-) -> list[Job]:
-    """One job for each set of photos, all with the same reference."""
-    track, jobs = partial(track_stage, progress), []
-    for text in notes_of(sets):
-        note(text)
-    count = has_metadata(sets[0].files.photos)
-    if count:
-        note(f"{count} photos carry EXIF or XMP metadata: it is ignored, nothing but pixels is used")
-    reference, features = reference_of(site, store, track, note)
-    files = site.reference
-    known = partial(Job, files=(files.ortho, files.dsm, files.vertical_datum), heading=site.bounds.heading)
-    for one in sets:
-        stage = "photos" if one.name == "airborne" else f"{one.name}.photos"
-        photos = store.photos(stage, one.files, options.video, track(stage))
-        frames = len(photos) - len(one.files.photos)
-        if frames:
-            names = ", ".join(video.name for video in one.files.videos)
-            note(f"{one.name}: {frames} frames of {names} are taken for photos")
-        job = partial(known, features=features) if one.name == "airborne" else Job
-        jobs.append(job(photos, reference, options, store, seed, track, one.name))
-    return jobs
-
-
-def track_stage(progress: StageProgress, name: str) -> Progress:
-    """The progress callback of a stage."""
-
-    def update(done: int, total: int, note: str = "", /) -> None:
-        progress(name, done, total, note)
-
-    return update
-
-
-def require_run(site: Site, out: Path, seed: int) -> None:
-    """What would go wrong later, or would harm the user's own files."""
-    if not 0 <= seed <= LARGEST_SEED:
-        raise InputError(f"--seed {seed}: give a whole number from 0 to {LARGEST_SEED}")
-    sources, where = [source for _, there in site.sets for source in there], out.resolve()
-    rasters = [] if site.addressed else _rasters(site.reference)
-    for path in (*rasters, *sources):
-        inside = path.resolve()
-        if inside == where or (inside.is_relative_to(where) and inside.relative_to(where).parts[0] in PRODUCTS):
-            raise InputError(f"{path}: lies where the results would be written; give another folder with --out")
-    require_distinct(site)

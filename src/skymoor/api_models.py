@@ -9,12 +9,13 @@ from functools import partial
 from os import PathLike
 from pathlib import Path
 
-from skymoor.api import StageProgress, Where, ignore, reference_of, require_run, site_of, track_stage
+from skymoor.api import Where, ignore, site_of
 from skymoor.errors import InputError
 from skymoor.models import GivenModel, read_model
 from skymoor.pipeline.addressed import with_files
 from skymoor.pipeline.given_model import register_given
 from skymoor.pipeline.job import Job
+from skymoor.pipeline.jobs import StageProgress, reference_of, require_run, track_stage
 from skymoor.pipeline.log import logged
 from skymoor.pipeline.option_parser import with_options
 from skymoor.pipeline.options import Options, check_engines
