@@ -22,6 +22,7 @@ from skymoor.pipeline.addressed import with_files
 from skymoor.pipeline.airborne import register_airborne
 from skymoor.pipeline.estimate import Step, estimate_run
 from skymoor.pipeline.ground import register_ground_sets, register_ground_sets_on_map
+from skymoor.pipeline.job import Job
 from skymoor.pipeline.jobs import StageProgress, jobs_of, require_run, track_stage
 from skymoor.pipeline.log import logged
 from skymoor.pipeline.option_parser import with_options
@@ -120,12 +121,21 @@ def register(
             SetResult(one.name, one.sources, job.photos.names, result, one.files.notes)
             for one, job, result in zip(sets, jobs, results, strict=True)
         ]
-        rasters = (loaded.reference.ortho, loaded.reference.dsm)
-        made_from = provenance(rasters, {job.name: job.photos for job in jobs}, weights, store)
-        products = jobs[0].track("products")
-        write_products(found, loaded, jobs[0].reference, chosen, seed, made_from, store, progress=products)
-        result = Result.read(Path(out))
-        write_report(result, store)
+        return finished(found, loaded, jobs, weights, Path(out))
+
+
+def finished(sets: Sequence[SetResult], site: Site, jobs: Sequence[Job], weights: Sequence[Path], out: Path) -> Result:
+    """Write products and report of what the jobs, one for each set, have found, and read them back.
+
+    `weights` are the files of those that the engines read, and `out` is the folder as the user named it.
+    """
+    job, reference = jobs[0], site.reference
+    photos = {one.name: one.photos for one in jobs}
+    made_from = provenance((reference.ortho, reference.dsm), photos, weights, job.store)
+    products = job.track("products")
+    write_products(sets, site, job.reference, job.options, job.seed, made_from, job.store, progress=products)
+    result = Result.read(out)
+    write_report(result, job.store)
     return result
 
 
@@ -249,7 +259,7 @@ def site_of(
     """The site that these describe; see `register` for the arguments. Raises `InputError` where they clash or lack."""
     if isinstance(site, Site):
         return site
-    photos, folders = _paths(airborne or ()), _paths(ground)
+    photos, folders = paths_of(airborne or ()), paths_of(ground)
     given = {"airborne": photos or None, "ortho": ortho, "dsm": dsm, "ground": folders or None}
     if site is not None:
         site = site_file(Path(site))
@@ -263,5 +273,6 @@ def site_of(
     return site_from_arguments(photos, folders, fspath(ortho), heights, vertical_datum, ce90, le90, accuracy)
 
 
-def _paths(given: Where | Sequence[Where]) -> tuple[Path, ...]:
+def paths_of(given: Where | Sequence[Where]) -> tuple[Path, ...]:
+    """Of one, or of several."""
     return tuple(Path(one) for one in ([given] if isinstance(given, str | PathLike) else given))

@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from os import PathLike
 from pathlib import Path
 
-from skymoor.api import Where, ignore, site_of
+from skymoor.api import Where, finished, ignore, paths_of, site_of
 from skymoor.errors import InputError
 from skymoor.models import GivenModel, read_model
 from skymoor.pipeline.addressed import with_files
@@ -20,12 +19,10 @@ from skymoor.pipeline.log import logged
 from skymoor.pipeline.option_parser import with_options
 from skymoor.pipeline.options import Options, check_engines
 from skymoor.pipeline.prior import SearchPrior
-from skymoor.pipeline.provenance import provenance
 from skymoor.pipeline.site import Site
 from skymoor.results.placed import place_model
 from skymoor.results.read import Result
-from skymoor.results.report.write import write_report
-from skymoor.results.write import SetResult, write_products
+from skymoor.results.write import SetResult
 from skymoor.store import Store
 from skymoor.types import Image, Photos
 
@@ -79,7 +76,7 @@ def register_model(
         InputError: data or options are wrong, or the model is mirrored; one line names the file and the remedy.
         BackendUnavailable: a library or an engine is needed that is not installed.
     """
-    paths = [Path(one) for one in ([model] if isinstance(model, str | PathLike) else model)]
+    paths = paths_of(model)
     if not paths:
         raise InputError("name the model: skymoor register MODEL --ortho ... --out ...")
     site = site_of(
@@ -106,12 +103,7 @@ def register_model(
         for text in moved:
             note(text)
         result = SetResult(SET, paths, job.photos.names, [found], (*given.notes, *moved))
-        rasters = (site.reference.ortho, site.reference.dsm)
-        made_from = provenance(rasters, {SET: job.photos}, weights, store)
-        write_products([result], site, job.reference, chosen, seed, made_from, store, progress=job.track("products"))
-        read = Result.read(Path(out))
-        write_report(read, store)
-    return read
+        return finished([result], site, [job], weights, Path(out))
 
 
 def _job(
@@ -125,9 +117,8 @@ def _job(
 ) -> Job:
     track = partial(track_stage, progress)
     reference, features = reference_of(site, store, track, note)
-    files = (site.reference.ortho, site.reference.dsm, site.reference.vertical_datum)
     photos = given.photos or Photos(_images(given), (), _none, [(part.kind, part.path.name) for part in given.parts])
-    return Job(photos, reference, options, store, seed, track, SET, files, features=features)
+    return Job(photos, reference, options, store, seed, track, SET, site.reference.rasters, features=features)
 
 
 def _images(given: GivenModel) -> tuple[str, ...]:

@@ -80,3 +80,11 @@ def test_shapes() -> None:
 def test_origin_must_be_on_earth(origin: tuple[float, float, float]) -> None:
     with pytest.raises(InputError, match="not on Earth"):
         EnuFrame(*origin)
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon", "code"),
+    [(47.0, 8.3, 32632), (-43.5, 172.5, 32759), (0.0, -180.0, 32601), (10.0, 180.0, 32601), (-1.0, 179.9, 32760)],
+)
+def test_the_utm_zone_of_the_origin(lat: float, lon: float, code: int) -> None:
+    assert EnuFrame(lat, lon, 0.0).utm_zone == f"EPSG:{code}"

@@ -48,6 +48,12 @@ class EnuFrame:
         lon, lat, height = self._enu_from_lon_lat().transform(enu[:, 0], enu[:, 1], enu[:, 2], direction="INVERSE")
         return np.column_stack([lat, lon, height])
 
+    @property
+    def utm_zone(self) -> str:
+        """EPSG code of the UTM zone of the origin on WGS 84."""
+        zone = int((self.lon_deg + 180) % 360 // 6) + 1
+        return f"EPSG:{(32600 if self.lat_deg >= 0 else 32700) + zone}"
+
     def _enu_from_lon_lat(self) -> Transformer:
         return _topocentric(float(self.lat_deg), float(self.lon_deg), float(self.height_m))
 

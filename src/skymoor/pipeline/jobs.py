@@ -76,8 +76,7 @@ def jobs_of(
     if count:
         note(f"{count} photos carry EXIF or XMP metadata: it is ignored, nothing but pixels is used")
     reference, features = reference_of(site, store, track, note)
-    files = site.reference
-    known = partial(Job, files=(files.ortho, files.dsm, files.vertical_datum), heading=site.bounds.heading)
+    known = partial(Job, files=site.reference.rasters, heading=site.bounds.heading)
     for one in sets:
         stage = "photos" if one.name == "airborne" else f"{one.name}.photos"
         photos = store.photos(stage, one.files, options.video, track(stage))

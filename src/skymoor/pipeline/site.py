@@ -63,6 +63,11 @@ class ReferenceFiles:
     credit: str | None = None
     date: str | None = None
 
+    @property
+    def rasters(self) -> tuple[Path, Path | float | None, str | None]:
+        """Orthophoto, DSM and vertical datum, as the reader takes them."""
+        return self.ortho, self.dsm, self.vertical_datum
+
 
 @dataclass(frozen=True, eq=False)
 class Site:

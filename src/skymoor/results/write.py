@@ -40,7 +40,7 @@ from skymoor.results.report.renderings import (
 from skymoor.results.request import credits_of, first_photo, request_of
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow
 from skymoor.store import Store, name_prefix
-from skymoor.types import Array, HeightStatus, Progress, Reference, Render, no_progress
+from skymoor.types import Array, HeightStatus, Progress, Reference, no_progress
 
 NO_COMPONENT = "no three photos have enough matches to be reconstructed together"
 REGISTERED, NOT_REGISTERED = "REGISTERED", "NOT_REGISTERED"
@@ -261,7 +261,7 @@ def _write_component(
         store.remove(f"colmap/{name}")
 
 
-def _around(px: Array, render: Render, reference: Reference) -> Reference:
+def _around(px: Array, reference: Reference) -> Reference:
     """The part of the reference around matches (n, 2) that pictures show: a large one is not drawn whole."""
     if not len(px):
         return reference
@@ -287,7 +287,7 @@ def _write_pictures(
     if item.matches is None:
         return
     pixels = item.matches.pixels
-    part = _around(pixels.px_b, render, reference)
+    part = _around(pixels.px_b, reference)
     shown = replace(pixels, px_b=part.grid.px_from_enu(reference.grid.enu_from_px(pixels.px_b)))
     figure = match_figure(render.rgb, part.rgb, shown, found.inliers)
     store.write_png(f"matches/{name}_matches.png", figure)

@@ -140,8 +140,7 @@ def _in_leaf(world: World, scene: Scene) -> Scene:
 
 
 def _sheet(frame: EnuFrame, middle: Array, width_m: float, pixel_m: float) -> MapSheet:
-    zone = int((frame.lon_deg + 180.0) // 6.0) + 1
-    crs = f"EPSG:{(32600 if frame.lat_deg >= 0 else 32700) + zone}"
+    crs = frame.utm_zone
     lat, lon, _ = frame.lla_from_enu([*middle, 0.0])[0]
     easting, northing = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
     side = max(round(width_m / pixel_m), 1)

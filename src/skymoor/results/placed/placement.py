@@ -36,7 +36,7 @@ class Placement:
     ) -> Placement:
         """With a map projection in metres for the reference's `crs`."""
         projected = CRS.from_user_input(crs).is_projected
-        return cls(enu_from_model, frame, crs if projected else utm_zone(frame), heights, ground)
+        return cls(enu_from_model, frame, crs if projected else frame.utm_zone, heights, ground)
 
     def offset_by(self, offset: tuple[float, float, float]) -> Placement:
         """For a file to whose coordinates that is added."""
@@ -72,12 +72,6 @@ class Placement:
             f"origin WGS 84 latitude {self.frame.lat_deg!r} longitude {self.frame.lon_deg!r}",
             f"origin height {self.frame.height_m!r} m above the WGS 84 ellipsoid",
         ]
-
-
-def utm_zone(frame: EnuFrame) -> str:
-    """The UTM zone of a place on WGS 84."""
-    zone = int((frame.lon_deg + 180) % 360 // 6) + 1
-    return f"EPSG:{32600 + zone if frame.lat_deg >= 0 else 32700 + zone}"
 
 
 def local_projection(frame: EnuFrame) -> str:
