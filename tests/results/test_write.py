@@ -14,7 +14,8 @@ from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.geometry import Similarity
 from skymoor.ground.walls import GroundPoseCheck
 from skymoor.pipeline.job import ComponentResult
-from skymoor.results.write import SetResult, accuracy_of, camera_rows, figures_of
+from skymoor.results.accuracy import accuracy_of, figures_of
+from skymoor.results.write import SetResult, camera_rows
 from skymoor.types import Calibration, Reference, Registration
 from support.blocks import block
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from skymoor import __version__
 from skymoor.engines.colmap import write_colmap
-from skymoor.geo import ce90_m, le90_m
 from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.geometry import Similarity
 from skymoor.match.overlay import warp_to_grid
@@ -21,7 +20,7 @@ from skymoor.pipeline.option_parser import option_values
 from skymoor.pipeline.options import MatchOptions, Options
 from skymoor.pipeline.photo_sets import or_too_few
 from skymoor.pipeline.site import Site
-from skymoor.registration import CameraAccuracy, camera_accuracy
+from skymoor.results.accuracy import accuracy_of, figures_of, surface_accuracy
 from skymoor.results.formats import (
     cameras_geojson,
     cameras_table,
@@ -44,7 +43,6 @@ from skymoor.types import Array, HeightStatus, Progress, Reference, no_progress
 
 NO_COMPONENT = "no three photos have enough matches to be reconstructed together"
 REGISTERED, NOT_REGISTERED = "REGISTERED", "NOT_REGISTERED"
-SHOWN_POINTS = 200
 SHOWN_AROUND, SHOWN_PX = 0.3, 40  # of the reference around the matches in pictures: share of their extent, and pixels
 
 
@@ -57,41 +55,6 @@ class SetResult:
     images: Sequence[str]
     components: Sequence[ComponentResult]
     notes: Sequence[str] = ()
-
-
-def accuracy_of(item: ComponentResult, reference: Reference) -> CameraAccuracy:
-    """Covariances of the camera centres of a registered component, or without cameras of points on its surface.
-
-    A ground component is registered to an airborne one, and inherits its covariance at the position of its cameras.
-    """
-    base, shape = item.base, item.shape_enu
-    centres = np.array([camera.centre for camera in item.cameras_enu]).reshape(-1, 3)
-    if not item.component.cameras:
-        return camera_accuracy(item.registration, _surface_points(item), reference, None)
-    if item.scaled_by_focal_length:
-        viewed = item.viewed_enu if item.registration.registered else None
-        return camera_accuracy(item.registration, centres, reference, item.component.calibration, shape, viewed)
-    found = camera_accuracy(item.registration, centres, reference, None, shape)
-    if base is None:
-        return found
-    carried = camera_accuracy(base.registration, centres, reference, base.component.calibration)
-    return CameraAccuracy(found.shared, found.relative + carried.relative)
-
-
-def _surface_points(item: ComponentResult) -> Array:
-    """Points (n, 3) of a registered model without cameras, ENU: its accuracy is told at these."""
-    points, transform = item.component.points, item.registration.enu_from_level
-    step = max(1, len(points) // SHOWN_POINTS)
-    return np.zeros((0, 3)) if transform is None else transform.apply(points[::step])
-
-
-def figures_of(accuracy: CameraAccuracy) -> Array:
-    """CE90 and LE90 of each camera, and both without the reference's error, (n, 4) metres."""
-    rows = [
-        [ce90_m(total), le90_m(total), ce90_m(relative), le90_m(relative)]
-        for total, relative in zip(accuracy.total, accuracy.relative, strict=True)
-    ]
-    return np.array(rows).reshape(-1, 4)
 
 
 def write_products(
@@ -219,6 +182,7 @@ def _component_summary(index: int, item: ComponentResult, reference: Reference) 
         summary |= {"predicted_ce90_m": ce90, "predicted_le90_m": le90 if known else None}
         summary |= {"predicted_relative_ce90_m": relative_ce90}
         summary |= {"predicted_relative_le90_m": relative_le90 if known else None}
+        summary["surface_accuracy"] = surface_accuracy(item, reference)
         summary["scene_centre_enu"] = np.median(found.enu_from_level.apply(item.component.points), axis=0)
     return summary
 

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predicted accuracy of a registered component: of its cameras and of its surface."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from skymoor.geo import ce90_m, le90_m
+from skymoor.pipeline.job import ComponentResult
+from skymoor.registration import CameraAccuracy, camera_accuracy
+from skymoor.types import Array, Reference
+
+SURFACE_POINTS = 200  # at which the accuracy of a surface is told
+
+
+def accuracy_of(item: ComponentResult, reference: Reference) -> CameraAccuracy:
+    """Covariances of the camera centres of a registered component, or without cameras of points on its surface.
+
+    A ground component is registered to an airborne one, and inherits its covariance at the position of its cameras.
+    """
+    base, shape = item.base, item.shape_enu
+    centres = np.array([camera.centre for camera in item.cameras_enu]).reshape(-1, 3)
+    if not item.component.cameras:
+        return camera_accuracy(item.registration, _surface_points(item), reference, None)
+    if item.scaled_by_focal_length:
+        viewed = item.viewed_enu if item.registration.registered else None
+        return camera_accuracy(item.registration, centres, reference, item.component.calibration, shape, viewed)
+    found = camera_accuracy(item.registration, centres, reference, None, shape)
+    if base is None:
+        return found
+    carried = camera_accuracy(base.registration, centres, reference, base.component.calibration)
+    return CameraAccuracy(found.shared, found.relative + carried.relative)
+
+
+def _surface_points(item: ComponentResult) -> Array:
+    """Points (n, 3) of a registered model without cameras, ENU: its accuracy is told at these."""
+    points, transform = item.component.points, item.registration.enu_from_level
+    step = max(1, len(points) // SURFACE_POINTS)
+    return np.zeros((0, 3)) if transform is None else transform.apply(points[::step])
+
+
+def figures_of(accuracy: CameraAccuracy) -> Array:
+    """CE90 and LE90 of each camera, and both without the reference's error, (n, 4) metres."""
+    rows = [
+        [ce90_m(total), le90_m(total), ce90_m(relative), le90_m(relative)]
+        for total, relative in zip(accuracy.total, accuracy.relative, strict=True)
+    ]
+    return np.array(rows).reshape(-1, 4)
+
+
+def surface_accuracy(item: ComponentResult, reference: Reference) -> dict[str, Any] | None:
+    """Accuracy of a component's surface, each with and without the reference's error, means over its points.
+
+    Covariances (3, 3) m^2 east-north-up, and CE90 and LE90 in metres. What is absolute is NaN where the accuracy of
+    the reference is unknown. None for ground components, whose accuracy is that of the airborne one and their own.
+    """
+    if item.base is not None or item.registration.covariance is None or not len(item.component.points):
+        return None
+    found = camera_accuracy(item.registration, _surface_points(item), reference, None)
+    names = ("ce90_m", "le90_m", "relative_ce90_m", "relative_le90_m")
+    covariances = {
+        "covariance_m2": found.total.mean(axis=0) if reference.accuracy_known else None,
+        "relative_covariance_m2": found.relative.mean(axis=0),
+    }
+    return covariances | dict(zip(names, figures_of(found).mean(axis=0).tolist(), strict=True))
