@@ -25,11 +25,13 @@ from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
 from skymoor.cli.main import main
-from skymoor.errors import InputError
+from skymoor.errors import BackendUnavailable, InputError
 from skymoor.results.export import chosen_formats, export
-from skymoor.results.formats import cameras_geopackage, cameras_kml, odm_geo, photo_with_position, position_xmp
+from skymoor.results.formats import cameras_kml, odm_geo, photo_with_position, position_xmp
 from skymoor.results.formats._registry import FORMATS
+from skymoor.results.formats._source import Source
 from skymoor.results.formats.exif import gps_tags
+from skymoor.results.formats.geopackage import write_geopackage
 from skymoor.results.read import Result
 from skymoor.results.tables import CameraRow
 from skymoor.types import Array
@@ -226,7 +228,9 @@ def test_exif_copies_keep_pixels_and_say_where(run: Path, out: Path) -> None:
             -sum(float(part) / 60**k for k, part in enumerate(gps[name])) for name in ("GPSLatitude", "GPSLongitude")
         )
         places.append((lon, lat, float(gps["GPSAltitude"])))
-        assert b"GPSZAccuracy" in copy
+        assert all(name in copy for name in (b"GPSZAccuracy", b"Camera:Yaw", b"drone-dji:DewarpData"))
+        tags = exif.get_ifd(ExifTags.IFD.Exif)  # 261 of a diagonal of 400 pixels, on 43.3 mm
+        assert tags[ExifTags.Base.FocalLengthIn35mmFilm] == 28
     found = np.array([_enu(*place) for place in places])
     np.testing.assert_allclose(found, [camera.centre for camera in cameras()[:3]], atol=MILLIMETRE)
     assert not (out / "exif" / "air" / "p4.jpg").exists()
@@ -320,6 +324,23 @@ def test_foreign_files_photos_and_the_run_are_left_alone(run: Path, tmp_path: Pa
     assert (tmp_path / "kml" / "mine.txt").read_text() == "mine"
 
 
+def test_all_leaves_out_formats_whose_library_is_missing(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(source: Source, folder: Path) -> str:
+        raise BackendUnavailable('copclib cannot be imported: install it with pip install "skymoor[export]"')
+
+    monkeypatch.setitem(FORMATS, "copc", missing)
+    for name in set(FORMATS) - {"copc", "kml"}:
+        monkeypatch.delitem(FORMATS, name)
+    told: list[str] = []
+    export(Result.read(run), ["all"], tmp_path, told.append)
+    assert [line for line in told if "left out: copclib" in line and "skymoor[export]" in line]
+    assert (tmp_path / "kml").is_dir() and not (tmp_path / "copc").exists()
+    with pytest.raises(BackendUnavailable):
+        export(Result.read(run), ["copc"], tmp_path, told.append)
+
+
 def test_each_product_has_a_line_that_counts(run: Path, tmp_path: Path) -> None:
     told: list[str] = []
     export(Result.read(run), ["geojson"], tmp_path, told.append)
@@ -346,7 +367,7 @@ def test_a_height_that_is_not_confirmed_is_in_no_format_that_can_do_without(tmp_
     assert odm_geo([row]).splitlines()[1] == "a.jpg 7.2500000000 46.5000000000"
     assert "GPSAltitude=" not in position_xmp(row) and "GPSLatitude=" in position_xmp(row)
     assert ExifTags.GPS.GPSAltitude not in gps_tags(row) and ExifTags.GPS.GPSLatitude in gps_tags(row)
-    (tmp_path / "cameras.gpkg").write_bytes(cameras_geopackage([row]))
+    write_geopackage(tmp_path / "cameras.gpkg", [row], [])
     _, _, points, _ = pyogrio.raw.read(tmp_path / "cameras.gpkg")
     assert struct.unpack("<dd", points[0][5:21]) == (7.25, 46.5)
 

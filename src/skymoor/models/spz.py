@@ -23,6 +23,7 @@ MAGIC, HEADER = 0x5053474E, "<IIIBBBB"
 LARGEST_POINTS = 100_000_000
 COEFFICIENTS = {0: 0, 1: 3, 2: 8, 3: 15}
 COLOUR_SCALE = 0.15
+MOST_FRACTION_BITS = 12  # of a position: a quarter of a millimetre; fewer where it would not fit into 24 bits
 
 
 def read_spz(path: Path) -> GivenModel:
@@ -44,6 +45,57 @@ def splat_of_spz(path: Path) -> NDArray[Any]:
         return _unpacked(_Bytes(data, struct.calcsize(HEADER)), version, count, COEFFICIENTS[degree], bits)
     except (OSError, EOFError, ValueError, struct.error, zlib.error) as error:
         raise InputError(f"{path}: is no SPZ file that can be read ({error}); export it again, or as PLY") from error
+
+
+def spz_of_splat(vertex: NDArray[Any]) -> bytes:
+    """An SPZ file, version 3, of Gaussians with the properties of a PLY of 3D Gaussian splatting.
+
+    Positions are rounded to a power of two, a quarter of a millimetre within 2 km; sizes to 3 %, colours, opacities and
+    harmonics to a 255th of their range, rotations to a tenth of a degree. Other properties are left out. Raises
+    `InputError` for positions that are farther than 8,000 km.
+    """
+    xyz = np.column_stack([vertex[axis] for axis in "xyz"]).astype(np.float64)
+    reach = max(float(np.abs(xyz).max(initial=0.0)), 1.0)
+    bits = min(MOST_FRACTION_BITS, int(np.floor(np.log2((2**23 - 1) / reach))))
+    if bits < 0:
+        raise InputError(f"positions {reach:.0f} m from the origin do not fit into SPZ; remove them, or take PLY")
+    fixed = np.rint(xyz * 2**bits).astype(np.int64)
+    coefficients = sum(name.startswith("f_rest_") for name in vertex.dtype.names or ()) // 3
+    degree = {count: degree for degree, count in COEFFICIENTS.items()}[coefficients]
+    colours = _columns(vertex, "f_dc_", 3) * COLOUR_SCALE + 0.5
+    rest = _columns(vertex, "f_rest_", 3 * coefficients).reshape(len(xyz), 3, coefficients).transpose(0, 2, 1)
+    parts: list[NDArray[Any]] = [
+        np.stack([fixed & 255, fixed >> 8 & 255, fixed >> 16 & 255], axis=-1).astype(np.uint8),
+        _rounded(255 / (1 + np.exp(-vertex["opacity"].astype(np.float64)))),
+        _rounded(colours * 255),
+        _rounded((_columns(vertex, "scale_", 3) + 10) * 16),
+        _smallest_three(_columns(vertex, "rot_", 4)),
+        _rounded(rest * 128 + 128),
+    ]
+    header = struct.pack(HEADER, MAGIC, 3, len(xyz), degree, bits, 0, 0)
+    return gzip.compress(header + b"".join(part.tobytes() for part in parts), mtime=0)
+
+
+def _columns(vertex: NDArray[Any], prefix: str, count: int) -> Array:
+    columns = [vertex[f"{prefix}{k}"] for k in range(count)]
+    return np.column_stack(columns).astype(np.float64) if columns else np.zeros((len(vertex), 0))
+
+
+def _rounded(values: Array) -> NDArray[np.uint8]:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def _smallest_three(wxyz: Array) -> NDArray[np.uint32]:
+    """Quaternions (n, 4), scalar first, as the number of the largest part and 10 bits of each of the others."""
+    xyzw = wxyz[:, [1, 2, 3, 0]] / np.maximum(np.linalg.norm(wxyz, axis=1, keepdims=True), 1e-12)
+    largest = np.abs(xyzw).argmax(axis=1)
+    xyzw *= np.where(xyzw[np.arange(len(xyzw)), largest] < 0, -1, 1)[:, None]
+    word = largest.astype(np.uint32)
+    for k in range(4):
+        size = np.rint(np.minimum(np.abs(xyzw[:, k]) / np.sqrt(0.5), 1) * 511).astype(np.uint32)
+        packed = word << np.uint32(10) | (xyzw[:, k] < 0).astype(np.uint32) << np.uint32(9) | size
+        word = np.where(largest == k, word, packed)
+    return np.asarray(word, "<u4")
 
 
 @dataclass

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from skymoor import __version__
-from skymoor.errors import InputError
+from skymoor.errors import BackendUnavailable, InputError
 from skymoor.pipeline.option_parser import nearest
 from skymoor.results.formats._registry import FORMATS
 from skymoor.results.formats._source import Source
@@ -20,8 +20,8 @@ from skymoor.types import Progress, no_progress
 __all__ = ["FORMATS", "chosen_formats", "export"]
 
 NOTE = "export.json"
-WITH_HEIGHTS = ("colmap", "nerfstudio", "laz", "cog", "ply", "gltf", "odm")
-"""Formats that cannot do without."""
+WITHOUT_HEIGHTS = ("geojson", "gpkg", "geoparquet", "kml", "stac", "exif")
+"""Formats that leave out heights that are not confirmed; the others cannot do without."""
 CREDITS = ("licence", "credit", "date", "ortho_source", "dsm_source")
 """What a user of the export must know of the reference, as in summary.json."""
 RELATIVE = "NOT_CONFIRMED: relative to the model's ground, or to a reference that contradicts the photos"
@@ -37,9 +37,10 @@ def export(
     """Write each format into its folder below `out`; `note` is called with one line for each.
 
     Raises `InputError` for an unknown format, when nothing is registered, when a file of the run is missing, and where
-    photos, the run's own products or foreign files would be harmed.
+    photos, the run's own products or foreign files would be harmed; `BackendUnavailable` where the library of a format
+    is missing, which is left out of "all" instead.
     """
-    chosen = chosen_formats(formats)
+    chosen, everything = chosen_formats(formats), "all" in {one.strip() for text in formats for one in text.split(",")}
     _require_out(result, out)
     source = Source(result, out)
     if not source.rows:
@@ -49,7 +50,13 @@ def export(
     left_out = len(result.cameras) - len(source.rows)
     for name in chosen:
         part = replace(source, target=out / name, notes=[], progress=track(name))
-        atomic_folder(out / name, lambda folder, part=part, name=name: _fill(part, name, folder))  # type: ignore[misc]
+        try:
+            atomic_folder(out / name, lambda folder, part=part, name=name: _fill(part, name, folder))  # type: ignore[misc]
+        except BackendUnavailable as error:
+            if not everything:
+                raise
+            note(f"{out / name}: left out: {error}")
+            continue
         note(
             "; ".join([f"{out / name}: {len(part.rows)} cameras, {left_out} without a position left out", *part.notes])
         )
@@ -69,7 +76,7 @@ def chosen_formats(names: Sequence[str]) -> list[str]:
 def _fill(source: Source, name: str, folder: Path) -> None:
     heights = FORMATS[name](source, folder)
     if source.without_heights:
-        heights = RELATIVE if name in WITH_HEIGHTS else "none where they are NOT_CONFIRMED"
+        heights = "none where they are NOT_CONFIRMED" if name in WITHOUT_HEIGHTS else RELATIVE
         source.notes.append(f"heights: {heights}")
     files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     about: dict[str, object] = {"skymoor": __version__, "format": name, "heights": heights, "files": files}

@@ -11,8 +11,7 @@ from skymoor.results.formats.cameras import (
     unplaced_cameras,
 )
 from skymoor.results.formats.cog import write_cog
-from skymoor.results.formats.exif import photo_with_position, position_xmp
-from skymoor.results.formats.geopackage import cameras_geopackage
+from skymoor.results.formats.exif import photo_with_position
 from skymoor.results.formats.gltf import height_field, mesh_glb, tileset
 from skymoor.results.formats.kml import cameras_kml
 from skymoor.results.formats.nerfstudio import nerfstudio_transforms
@@ -20,10 +19,10 @@ from skymoor.results.formats.odm import odm_gcp_list, odm_geo
 from skymoor.results.formats.ply import pointcloud_ply
 from skymoor.results.formats.pointcloud import pointcloud_las, read_pointcloud
 from skymoor.results.formats.raster import geotiffs
+from skymoor.results.formats.xmp import position_xmp
 
 __all__ = [
     "cameras_geojson",
-    "cameras_geopackage",
     "cameras_kml",
     "cameras_table",
     "colmap_model",

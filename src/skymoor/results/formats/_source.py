@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,12 @@ import pycolmap
 
 from skymoor.engines.colmap import component_from_colmap
 from skymoor.errors import InputError
+from skymoor.geometry import Intrinsics
 from skymoor.results.read import RUN_FIRST, ComponentSummary, Result
 from skymoor.results.tables import CameraRow
 from skymoor.types import Component, Progress, no_progress
+
+ELLIPSOID = "metres above the WGS 84 ellipsoid"
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +29,7 @@ class Source:
     target: Path  # the folder of the format, as it will be called
     notes: list[str] = field(default_factory=list)
     progress: Progress = no_progress
+    models: dict[str, Component] = field(default_factory=dict)  # read once for all formats
 
     @property
     def rows(self) -> tuple[CameraRow, ...]:
@@ -40,10 +45,28 @@ class Source:
         """Registered components in ENU metres, with the cameras that cameras.csv lists for them."""
         for part in self.result.components:
             if part.registered:
-                registered = {
-                    row.image for row in self.rows if (row.set, row.component) == (part.image_set, part.index)
-                }
-                yield part, _kept(_component(self.result.model(part)), registered)
+                if part.name not in self.models:
+                    registered = {row.image for row in self.rows_of(part)}
+                    self.models[part.name] = _kept(_component(self.result.model(part)), registered)
+                yield part, self.models[part.name]
+
+    def rows_of(self, part: ComponentSummary) -> list[CameraRow]:
+        """The cameras of a component with a position."""
+        return [row for row in self.rows if (row.set, row.component) == (part.image_set, part.index)]
+
+    def lenses(self) -> dict[str, Intrinsics]:
+        """Of the photos of all registered components, by image."""
+        return {camera.image: camera.intrinsics for _, part in self.components() for camera in part.cameras}
+
+    @property
+    def finished(self) -> datetime:
+        """When the run was finished: when its summary was written."""
+        return datetime.fromtimestamp((self.result.folder / "summary.json").stat().st_mtime, UTC)
+
+    @property
+    def day(self) -> str:
+        """The same as YYYY-MM-DD."""
+        return self.finished.date().isoformat()
 
     def product(self, name: str) -> Path:
         """A file of the run. Raises `InputError` when it is missing."""

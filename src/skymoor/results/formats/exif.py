@@ -1,35 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Positions into copies of photos, as EXIF and XMP; no pixel is touched."""
+"""Position, attitude and lens into copies of photos, as EXIF and XMP; no pixel is touched."""
 
 from __future__ import annotations
 
 import io
 import struct
-from xml.sax.saxutils import quoteattr
 
+import numpy as np
 from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 from skymoor.errors import InputError
+from skymoor.geometry import Intrinsics
+from skymoor.results.formats.xmp import PhotoFacts, film_focal_mm, position_xmp
 from skymoor.results.tables import CameraRow
 
 EXIF, XMP = b"Exif\0\0", b"http://ns.adobe.com/xap/1.0/\0"
 APP1, SOS, LARGEST = 0xE1, 0xDA, 65533
+SENSORS_MM = (2.0, 80.0)  # widths of sensors: some makers state the pixels of another image
 SECOND = 10**6  # a millionth of an arc second is 0.03 mm
 
 
-def photo_with_position(jpeg: bytes, row: CameraRow, name: str) -> bytes:
+def photo_with_position(
+    jpeg: bytes, row: CameraRow, name: str, lens: Intrinsics | None = None, calibrated: str = "1970-01-01"
+) -> bytes:
     """A JPEG file's bytes with GPS tags and XMP instead of its own; all other segments and the pixels stay.
 
-    The altitude is metres above the WGS 84 ellipsoid. Raises `InputError` when it is no whole JPEG, or its EXIF is
-    larger than a segment holds.
+    The altitude is metres above the WGS 84 ellipsoid. With `lens`, calibrated on a date (YYYY-MM-DD), the focal length
+    is replaced too. Angles and lens are those of the pixels as they are stored, whatever EXIF's orientation. Raises
+    `InputError` when it is no whole JPEG, or its EXIF is larger than a segment holds.
     """
     try:
         with Image.open(io.BytesIO(jpeg)) as image:
             exif = image.getexif()
-        exif.get_ifd(ExifTags.IFD.Exif)  # or Pillow would not write that part again
+        facts = photo_facts(exif, image.width)  # also reads that part, which Pillow would else not write again
+        if lens is not None:
+            _put_lens(exif, lens, facts)
         exif[ExifTags.IFD.GPSInfo] = gps_tags(row)
-        segments = [_segment(_exif_bytes(exif)), _segment(XMP + position_xmp(row).encode())]
+        segments = [_segment(_exif_bytes(exif)), _segment(XMP + position_xmp(row, lens, facts, calibrated).encode())]
         return jpeg[:2] + b"".join(segments) + _without_metadata(jpeg)
     except (OSError, ValueError, IndexError, struct.error, SyntaxError) as error:
         raise InputError(
@@ -60,40 +68,27 @@ def gps_tags(row: CameraRow) -> dict[int, object]:
     return {int(tag): value for tag, value in found.items()}
 
 
-def position_xmp(row: CameraRow) -> str:
-    """An XMP packet with the same position and, as photogrammetry reads it, CE90 and LE90 in metres."""
-    assert row.lat is not None and row.lon is not None
-    values = {
-        "exif:GPSLatitude": _minutes(row.lat, "NS"),
-        "exif:GPSLongitude": _minutes(row.lon, "EW"),
-        "exif:GPSMapDatum": "WGS-84",
-    }
-    if row.height is not None:
-        values["exif:GPSAltitude"] = f"{round(abs(row.height) * 10000)}/10000"
-        values["exif:GPSAltitudeRef"] = "0" if row.height >= 0 else "1"
-    for name, value in (("Camera:GPSXYAccuracy", row.ce90), ("Camera:GPSZAccuracy", row.le90)):
-        if value is not None:
-            values[name] = f"{value:.3f}"
-    inner = "".join(f" {name}={quoteattr(value)}" for name, value in values.items())
-    return (
-        '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>'
-        "<!-- GPSAltitude: metres above the WGS 84 ellipsoid -->"
-        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
-        '<rdf:Description rdf:about="" xmlns:exif="http://ns.adobe.com/exif/1.0/" '
-        f'xmlns:Camera="http://pix4d.com/camera/1.0/"{inner}/></rdf:RDF></x:xmpmeta><?xpacket end="w"?>'
-    )
+def photo_facts(exif: Image.Exif, width: int) -> PhotoFacts:
+    """The maker and the size of the pixels, where the EXIF of a photo of `width` pixels states them credibly."""
+    tags = exif.get_ifd(ExifTags.IFD.Exif)
+    unit = {2: 25.4, 3: 10.0, 4: 1.0}.get(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
+    density = float(tags.get(ExifTags.Base.FocalPlaneXResolution, 0) or 0)
+    known = unit is not None and density > 0 and SENSORS_MM[0] <= width * unit / density <= SENSORS_MM[1]
+    return PhotoFacts(str(exif.get(ExifTags.Base.Make, "")).strip("\0 "), density / unit if known and unit else None)
+
+
+def _put_lens(exif: Image.Exif, lens: Intrinsics, facts: PhotoFacts) -> None:
+    """The focal length of the photo: in millimetres only where the size of its pixels is known."""
+    tags = exif.get_ifd(ExifTags.IFD.Exif)
+    tags[ExifTags.Base.FocalLengthIn35mmFilm] = round(film_focal_mm(lens))
+    if facts.px_per_mm is not None:
+        tags[ExifTags.Base.FocalLength] = IFDRational(round(np.sqrt(lens.fx * lens.fy) / facts.px_per_mm * 1e6), 10**6)
 
 
 def _sexagesimal(degrees: float) -> tuple[IFDRational, IFDRational, IFDRational]:
     units = round(abs(degrees) * 3600 * SECOND)
     minutes, seconds = divmod(units, 60 * SECOND)
     return IFDRational(minutes // 60, 1), IFDRational(minutes % 60, 1), IFDRational(seconds, SECOND)
-
-
-def _minutes(degrees: float, letters: str) -> str:
-    units = round(abs(degrees) * 60 * 10**8)
-    whole, rest = divmod(units, 60 * 10**8)
-    return f"{whole},{rest // 10**8}.{rest % 10**8:08d}{letters[degrees < 0]}"
 
 
 def _exif_bytes(exif: Image.Exif) -> bytes:

@@ -41,7 +41,8 @@ def mesh_glb(points_enu: Array, colours: NDArray[np.uint8], faces: NDArray[np.ui
     xyz = np.column_stack([east, up, -north]).astype("<f4")
     linear = np.where(colours <= 10, colours / 255 / 12.92, ((colours / 255 + 0.055) / 1.055) ** 2.4)  # glTF's colours
     rgba = np.column_stack([np.rint(linear * 65535), np.full(len(xyz), 65535)]).astype("<u2")
-    parts = [xyz.tobytes(), rgba.tobytes(), faces.astype("<u4").tobytes()]
+    short = len(xyz) < 65535  # the highest index is reserved
+    parts = [xyz.tobytes(), rgba.tobytes(), faces.astype("<u2" if short else "<u4").tobytes()]
     starts = np.cumsum([0, *map(len, parts)]).tolist()
     targets = (ARRAY_BUFFER, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
     described = {
@@ -55,7 +56,7 @@ def mesh_glb(points_enu: Array, colours: NDArray[np.uint8], faces: NDArray[np.ui
         "accessors": [
             _accessor(0, FLOAT, len(xyz), "VEC3") | {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()},
             _accessor(1, UNSIGNED_SHORT, len(xyz), "VEC4") | {"normalized": True},
-            _accessor(2, UNSIGNED_INT, faces.size, "SCALAR"),
+            _accessor(2, UNSIGNED_SHORT if short else UNSIGNED_INT, faces.size, "SCALAR"),
         ],
         "bufferViews": [
             {"buffer": 0, "byteOffset": start, "byteLength": len(part), "target": target}
@@ -65,7 +66,8 @@ def mesh_glb(points_enu: Array, colours: NDArray[np.uint8], faces: NDArray[np.ui
     }
     text = json.dumps(described).encode()
     text += b" " * (-len(text) % 4)
-    binary = b"".join(parts)  # every part is a multiple of four bytes
+    binary = b"".join(parts)  # every part but the last is a multiple of four bytes
+    binary += b"\0" * (-len(binary) % 4)
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 

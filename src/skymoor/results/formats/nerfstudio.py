@@ -12,15 +12,18 @@ from skymoor.types import Camera
 
 
 def nerfstudio_transforms(
-    cameras_enu: Sequence[Camera], paths: Mapping[str, str], frame: EnuFrame
+    cameras_enu: Sequence[Camera], paths: Mapping[str, str], frame: EnuFrame, cloud: str | None = None
 ) -> dict[str, object]:
-    """transforms.json of cameras in ENU metres; `paths` gives the file of each image.
+    """transforms.json of cameras in ENU metres; `paths` gives the file of each image, `cloud` that of their points.
+
+    nerfstudio moves the points of `ply_file_path` as it moves the poses, so they are in the same frame.
 
     Poses are world-from-camera with OpenGL's axes (x right, y up, z backwards); the world is east, north, up, which is
     nerfstudio's z-up, so `applied_transform` is the identity. The principal point has COLMAP's convention, as theirs:
     the centre of the first pixel is (0.5, 0.5). The origin on Earth is in `enu_origin`, which nerfstudio ignores.
     """
-    return {
+    named = {} if cloud is None else {"ply_file_path": cloud}
+    return named | {
         "camera_model": "OPENCV",
         "applied_transform": np.eye(4)[:3].tolist(),
         "enu_origin": {"lat": frame.lat_deg, "lon": frame.lon_deg, "height": frame.height_m},

@@ -3,25 +3,21 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skymoor.errors import InputError
 from skymoor.geo import EnuFrame
-from skymoor.geometry import Similarity
+from skymoor.results.formats.angles import rotation_of, yaw_pitch_roll_deg
+from skymoor.results.formats.names import bare_names
 from skymoor.results.tables import CameraRow
 from skymoor.types import Array, Component
 
 HEADER = "EPSG:4326"
 MIN_TRACK = 3
 MARKS_PER_POINT = 6
-NED_FROM_ENU = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
-# Axes of an aircraft whose camera looks down: forward is the upper edge of the image, right its right, down the view.
-CAM_FROM_BODY = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 
 
 def odm_geo(rows: Sequence[CameraRow], names: Mapping[str, str] | None = None) -> str:
@@ -36,51 +32,23 @@ def odm_geo(rows: Sequence[CameraRow], names: Mapping[str, str] | None = None) -
         line = f"{names[row.image]} {row.lon:.10f} {row.lat:.10f}"
         if row.height is not None:
             line += f" {row.height:.4f}"
-            angles = yaw_pitch_roll_deg(row)
-            if angles is not None:
-                yaw, pitch, roll = angles
+            rotation = rotation_of(row)
+            if rotation is not None:
+                yaw, pitch, roll = yaw_pitch_roll_deg(rotation)
                 line += f" {yaw:.4f} {pitch:.4f} {roll:.4f} {row.ce90 or 0:.4f} {row.le90 or 0:.4f}"
         lines.append(line)
     return "\n".join([HEADER, *lines]) + "\n"
 
 
-def yaw_pitch_roll_deg(row: CameraRow) -> tuple[float, float, float] | None:
-    """Angles of a camera as ODM counts them, degrees; None where its rotation is not known.
-
-    ODM turns north-east-down axes by yaw, pitch and roll, in this order and about the turned axes, into those of an
-    aircraft whose camera looks down with the upper edge of the image forward. So all angles are 0 for a camera that
-    looks straight down with north at the top; yaw is the direction of the upper edge, clockwise; pitch 90 looks at the
-    horizon in that direction; a positive roll lifts the left side. ODM adds 90 to the gimbal pitch of some makers'
-    photos for this, but takes geo.txt as it is (opendm/photo.py, opendm/geo.py; issue 1473 and pull request 1546 of
-    OpenDroneMap/ODM).
-    """
-    quaternion = (row.qw, row.qx, row.qy, row.qz)
-    if any(value is None for value in quaternion):
-        return None
-    cam_from_enu = Similarity.from_quaternion_wxyz(1.0, np.array(quaternion, float), np.zeros(3)).rotation
-    ned_from_body = NED_FROM_ENU @ cam_from_enu.T @ CAM_FROM_BODY
-    yaw = np.arctan2(ned_from_body[1, 0], ned_from_body[0, 0])
-    pitch = np.arcsin(np.clip(-ned_from_body[2, 0], -1, 1))
-    roll = np.arctan2(ned_from_body[2, 1], ned_from_body[2, 2])
-    degrees: Array = np.degrees([yaw, pitch, roll])
-    return float(degrees[0]), float(degrees[1]), float(degrees[2])
-
-
 def odm_names(images: Iterable[str]) -> dict[str, str]:
     """How ODM's lists call each image: ODM has one folder of images and knows them by their bare names.
 
-    Of images of one name in several folders, that of the folder goes before it. Raises `InputError` for a name with
+    They are those of `bare_names`. Raises `InputError` for a name with
     spaces, which those lists cannot contain.
     """
-    ordered = list(images)
-    bare = Counter(PurePosixPath(image).name for image in ordered)
-    with_folder = Counter("_".join(PurePosixPath(image).parts[-2:]) for image in ordered)
-    names = {}
-    for image in ordered:
-        path = PurePosixPath(image)
-        name = path.name if bare[path.name] == 1 else "_".join(path.parts[-2:])
-        names[image] = name if bare[path.name] == 1 or with_folder[name] == 1 else "_".join(path.parts)
-        if any(letter.isspace() for letter in names[image]):
+    names = bare_names(images)
+    for image, name in names.items():
+        if any(letter.isspace() for letter in name):
             raise InputError(f"{image}: ODM's lists part words by spaces; rename the photo without them, and run again")
     return names
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from skymoor.engines.libraries import require
+from skymoor.errors import InputError
 from skymoor.models.ply import is_splat, open_ply
-from skymoor.models.spz import splat_of_spz
+from skymoor.models.spz import splat_of_spz, spz_of_splat
 from skymoor.results.placed.placement import Placement
 from skymoor.types import Array
 
@@ -30,11 +31,16 @@ def move_ply(path: Path, folder: Path, placement: Placement) -> list[str]:
 
 
 def move_spz(path: Path, folder: Path, placement: Placement) -> list[str]:
-    """As PLY, which loses nothing of it."""
+    """As SPZ, which rounds a second time, and as PLY, which loses nothing of it."""
     plyfile = require("plyfile", "models")
-    element = plyfile.PlyElement.describe(moved_vertices(splat_of_spz(path), placement), "vertex")
+    moved = moved_vertices(splat_of_spz(path), placement)
+    element = plyfile.PlyElement.describe(moved, "vertex")
     plyfile.PlyData([element], comments=placement.comments()).write(str(folder / f"{path.stem}.ply"))
-    return [f"{path.name}: is written as PLY"]
+    try:
+        (folder / path.name).write_bytes(spz_of_splat(moved))
+    except InputError as error:
+        return [f"{path.name}: is written as PLY alone: {error}"]
+    return [f"{path.name}: is also written as PLY, which is not rounded a second time"]
 
 
 def moved_vertices(given: NDArray[Any], placement: Placement) -> NDArray[Any]:
