@@ -33,8 +33,9 @@ from skymoor.match.propose import image_features
 from skymoor.match.rasters import nadir_raster
 from skymoor.match.search import ReferencePyramid, SearchOptions, search_in
 from skymoor.pipeline.feature_index import reference_features, write_index
+from skymoor.pipeline.reference_files import ReferenceFiles
 from skymoor.pipeline.search import Extent, places_of
-from skymoor.pipeline.site import ReferenceFiles, load_site
+from skymoor.pipeline.site import load_site
 from skymoor.reference.read import read_reference
 from skymoor.results.read import Result
 from skymoor.types import Array, Raster, Reference, Render, View, no_progress

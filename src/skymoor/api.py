@@ -4,24 +4,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from skymoor.engines.temporary import temporary_folder
 from skymoor.errors import InputError, TooFewMatches
 from skymoor.match import CyclicOptions, DenseMatcher, SearchOptions, StructuralMatcher, match_hypothesis
 from skymoor.match.decoys import decoy_scores
 from skymoor.match.search import search_hypotheses
 from skymoor.orient import estimate_gravity, level_from_gravity
 from skymoor.pipeline.addressed import with_files
-from skymoor.pipeline.airborne import register_airborne
 from skymoor.pipeline.estimate import Step, estimate_run
-from skymoor.pipeline.ground import register_ground_sets, register_ground_sets_on_map
 from skymoor.pipeline.job import Job
 from skymoor.pipeline.jobs import StageProgress, jobs_of, require_run, track_stage
 from skymoor.pipeline.log import logged
@@ -30,10 +28,13 @@ from skymoor.pipeline.options import Options, check_engines
 from skymoor.pipeline.photo_sets import find_sets, notes_of, sizes_of
 from skymoor.pipeline.prior import SearchPrior
 from skymoor.pipeline.provenance import provenance
-from skymoor.pipeline.site import Site, load_site, site_from_arguments
+from skymoor.pipeline.register_sets import register_sets
+from skymoor.pipeline.site import Site, load_site, site_from_arguments, site_on_run
+from skymoor.pipeline.site_control import control_with_arguments
 from skymoor.pipeline.site_values import site_file
 from skymoor.reference.read import read_reference
 from skymoor.registration.significance import false_alarm_probability
+from skymoor.results.changes import write_changes
 from skymoor.results.read import Result
 from skymoor.results.report.write import write_report
 from skymoor.results.write import SetResult, write_products
@@ -59,10 +60,16 @@ def register(
     ce90: float | None = None,
     le90: float | None = None,
     accuracy: str | None = None,
+    reference_run: Where | None = None,
     area: Sequence[float] | None = None,
     near: Sequence[float] | None = None,
     heading: str | float | None = None,
     height: float | None = None,
+    control: Where | Sequence[Where] = (),
+    control_ce90: float | None = None,
+    control_le90: float | None = None,
+    control_datum: str | None = None,
+    use_control: bool = False,
     options: Mapping[str, object] | None = None,
     seed: int = 0,
     progress: StageProgress = ignore,
@@ -85,11 +92,17 @@ def register(
         ce90: circular error of the reference, 90 percent, metres.
         le90: linear (vertical) error of the reference, 90 percent, metres; not needed without heights.
         accuracy: "unknown" in place of the two: what is registered then has an accuracy relative to the reference only.
+        reference_run: folder of an earlier run whose products are the reference, in place of `ortho` and what follows.
         area: where to search: west, south, east and north in degrees.
         near: the same as latitude, longitude and a radius in metres.
         heading: compass direction in degrees, right within 20, in which the first photo looks, or its upper edge if it
             looks straight down; of another photo as "PHOTO=DEGREES".
         height: flying height above the ground in metres, right within a quarter.
+        control: files of control points, known camera positions or scale bars; docs/control.md lists the kinds.
+        control_ce90: circular error of control, 90 percent, metres, for what its files do not say.
+        control_le90: linear error of its heights, 90 percent, metres.
+        control_datum: vertical datum of its heights: "ellipsoid", or an EPSG code.
+        use_control: move models onto it; otherwise they are compared with it.
         options: by dotted names or nested, such as {"match.max_height_m": 150}; they overrule those of the site.
         seed: makes a run repeatable.
         progress: called with the name of a stage, steps done and in all, and now and then a line: progress("search",
@@ -103,8 +116,11 @@ def register(
         BackendUnavailable: an optional engine was chosen that is not installed, or whose weights are not here.
     """
     reference: dict[str, Any] = {"ortho": ortho, "dsm": dsm, "vertical_datum": vertical_datum}
-    loaded = site_of(site, airborne=airborne, ground=ground, **reference, ce90=ce90, le90=le90, accuracy=accuracy)
+    reference |= {"ce90": ce90, "le90": le90, "accuracy": accuracy, "reference_run": reference_run}
+    loaded = site_of(site, airborne=airborne, ground=ground, **reference)
     loaded = loaded.bounded(SearchPrior.of(area, near, heading, height))
+    stated = (paths_of(control), control_ce90, control_le90, control_datum)
+    loaded = replace(loaded, control=control_with_arguments(loaded.control, *stated, use=use_control))
     chosen = with_options(Options(), {**loaded.options, **loaded.bounds.options(), **(options or {})})
     weights = check_engines(chosen, ground=bool(loaded.ground))
     require_run(loaded, Path(out), seed)
@@ -112,11 +128,7 @@ def register(
     with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
         loaded = with_files(loaded, store.root, partial(track_stage, progress), note)
         jobs = jobs_of(loaded, sets, chosen, store, seed, progress, note)
-        if not loaded.airborne:
-            results = register_ground_sets_on_map(jobs)
-        else:
-            results = [register_airborne(jobs[0])]
-            results += register_ground_sets(jobs[1:], results[0], jobs[0].photos)
+        results = register_sets(loaded, jobs, note)
         found = [
             SetResult(one.name, one.sources, job.photos.names, result, one.files.notes)
             for one, job, result in zip(sets, jobs, results, strict=True)
@@ -135,6 +147,7 @@ def finished(sets: Sequence[SetResult], site: Site, jobs: Sequence[Job], weights
     products = job.track("products")
     write_products(sets, site, job.reference, job.options, job.seed, made_from, job.store, progress=products)
     result = Result.read(out)
+    write_changes(result, reference.run, job.store)
     write_report(result, job.store)
     return result
 
@@ -160,8 +173,8 @@ def plan(
         note(text)
     sizes = [sizes_of(one, chosen.video, partial(track_stage, progress)) for one in sets]
     airborne, ground = (sizes[0], sizes[1:]) if site.airborne else ((), sizes)
-    with TemporaryDirectory() as scratch:
-        files = with_files(site, Path(scratch), partial(track_stage, progress), note).reference
+    with temporary_folder() as scratch:
+        files = with_files(site, scratch, partial(track_stage, progress), note).reference
         reference = read_reference(
             files.ortho,
             files.dsm,
@@ -255,22 +268,34 @@ def site_of(
     ce90: float | None = None,
     le90: float | None = None,
     accuracy: str | None = None,
+    reference_run: Where | None = None,
 ) -> Site:
     """The site that these describe; see `register` for the arguments. Raises `InputError` where they clash or lack."""
     if isinstance(site, Site):
         return site
     photos, folders = paths_of(airborne or ()), paths_of(ground)
     given = {"airborne": photos or None, "ortho": ortho, "dsm": dsm, "ground": folders or None}
+    given["reference-run"] = reference_run
     if site is not None:
         site = site_file(Path(site))
         clash = next((name for name, value in given.items() if value is not None), None)
         if clash is not None:
             raise InputError(f"{site} already names the data: leave out --{clash}")
         return load_site(Path(site), vertical_datum=vertical_datum, ce90=ce90, le90=le90, accuracy=accuracy)
+    if reference_run is not None:
+        stated = {"ortho": ortho, "dsm": dsm, "vertical-datum": vertical_datum, "ce90": ce90, "le90": le90}
+        return _site_on_run(photos, folders, Path(reference_run), stated | {"accuracy": accuracy})
     if ortho is None:
         raise InputError("name a site.toml, or give --airborne or --ground, --ortho and, where there is one, --dsm")
     heights = None if dsm is None else float(dsm) if isinstance(dsm, int | float) else fspath(dsm)
     return site_from_arguments(photos, folders, fspath(ortho), heights, vertical_datum, ce90, le90, accuracy)
+
+
+def _site_on_run(photos: Sequence[Path], folders: Sequence[Path], run: Path, stated: Mapping[str, object]) -> Site:
+    clash = next((name for name, value in stated.items() if value is not None), None)
+    if clash is not None:
+        raise InputError(f"--reference-run {run} already names the reference: leave out --{clash}")
+    return site_on_run(photos, folders, run)
 
 
 def paths_of(given: Where | Sequence[Where]) -> tuple[Path, ...]:

@@ -12,6 +12,7 @@ from skymoor.api import Where, finished, ignore, paths_of, site_of
 from skymoor.errors import InputError
 from skymoor.models import GivenModel, read_model
 from skymoor.pipeline.addressed import with_files
+from skymoor.pipeline.control import control_of, with_control
 from skymoor.pipeline.given_model import register_given
 from skymoor.pipeline.job import Job
 from skymoor.pipeline.jobs import StageProgress, reference_of, require_run, track_stage
@@ -20,6 +21,7 @@ from skymoor.pipeline.option_parser import with_options
 from skymoor.pipeline.options import Options, check_engines
 from skymoor.pipeline.prior import SearchPrior
 from skymoor.pipeline.site import Site
+from skymoor.pipeline.site_control import control_with_arguments
 from skymoor.results.placed import place_model
 from skymoor.results.read import Result
 from skymoor.results.write import SetResult
@@ -33,15 +35,21 @@ def register_model(
     model: Where | Sequence[Where],
     *,
     out: Where,
-    ortho: Where,
+    ortho: Where | None = None,
     dsm: Where | float | None = None,
     photos: Where | None = None,
     vertical_datum: str | None = None,
     ce90: float | None = None,
     le90: float | None = None,
     accuracy: str | None = None,
+    reference_run: Where | None = None,
     area: Sequence[float] | None = None,
     near: Sequence[float] | None = None,
+    control: Where | Sequence[Where] = (),
+    control_ce90: float | None = None,
+    control_le90: float | None = None,
+    control_datum: str | None = None,
+    use_control: bool = False,
     options: Mapping[str, object] | None = None,
     seed: int = 0,
     progress: StageProgress = ignore,
@@ -62,8 +70,14 @@ def register_model(
         ce90: circular error of the reference, 90 percent, metres.
         le90: its linear error.
         accuracy: "unknown" in place of the two.
+        reference_run: folder of an earlier run whose products are the reference, in place of these.
         area: where to search: west, south, east and north in degrees.
         near: the same as latitude, longitude and a radius in metres.
+        control: files of control points, known camera positions or scale bars, of models with cameras.
+        control_ce90: circular error of control, 90 percent, metres, for what the files do not say.
+        control_le90: linear error of its heights.
+        control_datum: vertical datum of its heights.
+        use_control: move the model onto it; otherwise it is compared with it.
         options: by dotted names or nested.
         seed: makes a run repeatable.
         progress: called with the name of a stage, steps done and in all, and now and then a line.
@@ -87,7 +101,10 @@ def register_model(
         ce90=ce90,
         le90=le90,
         accuracy=accuracy,
+        reference_run=reference_run,
     ).bounded(SearchPrior.of(area, near))
+    stated = (paths_of(control), control_ce90, control_le90, control_datum)
+    site = replace(site, control=control_with_arguments(None, *stated, use=use_control))
     chosen = with_options(Options(), options or {})
     weights = check_engines(chosen, ground=False)
     require_run(site, Path(out), seed)
@@ -98,7 +115,10 @@ def register_model(
             note(text)
         site = with_files(site, store.root, partial(track_stage, progress), note)
         job = _job(site, given, chosen, store, seed, progress, note)
-        found = register_given(given, job)
+        known, lines = control_of(site.control, [job])
+        for text in lines:
+            note(text)
+        (found,) = with_control([register_given(given, job)], known, job)
         moved = place_model(given, found, job.reference, store, job.track("moved files"))
         for text in moved:
             note(text)

@@ -402,6 +402,7 @@ class Registration:
     diagnostics: dict[str, float] = field(default_factory=dict)
     criteria: tuple[Criterion, ...] = ()
     heights: HeightVerdict | None = None  # of models that are registered on the map
+    absolute: Array | None = None  # (8, 8) after control: of the same and of the log focal length, without a reference
     lean: tuple[float, float] | None = None  # of raised surfaces in the orthophoto, metres east and north per metre up
 
     @property

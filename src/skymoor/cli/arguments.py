@@ -56,6 +56,8 @@ class Run:
     """Linear (vertical) error of the reference, 90 percent, metres; not needed without heights."""
     accuracy: Literal["unknown"] | None = None
     """unknown in place of --ce90 and --le90: positions are then accurate relative to the reference only."""
+    reference_run: Path | None = None
+    """Folder of an earlier run, whose orthophoto, DSM and accuracy are the reference, in place of all these."""
     area: tuple[float, float, float, float] | None = None
     """Search only there: west, south, east and north in degrees."""
     near: tuple[float, float, float] | None = None
@@ -65,6 +67,17 @@ class Run:
     down; of another photo as PHOTO=DEGREES."""
     height: float | None = None
     """Flying height above the ground in metres, within a quarter."""
+    control: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    """Surveyed points, known camera positions or scale bars, which the models are compared with: gcp_list.txt or
+    geo.txt of ODM, or a table; may be repeated."""
+    control_ce90: float | None = None
+    """Circular error of control, 90 percent, metres, where its files do not say."""
+    control_le90: float | None = None
+    """Linear error of its heights, 90 percent, metres, where its files do not say."""
+    control_datum: str | None = None
+    """Vertical datum of its heights: "ellipsoid" or an EPSG code."""
+    use_control: bool = False
+    """Move the models onto control; otherwise they are compared with it."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """An option by its dotted name, for example --set match.max_height_m=150; may be repeated."""
     require_heights: bool = False
@@ -75,58 +88,6 @@ class Run:
     """Plain lines in place of progress bars."""
     dry_run: bool = False
     """Check all input and print the steps with estimates of time and memory; write nothing."""
-    json: bool = False
-    """For scripts: the result as JSON on stdout, all else on stderr."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Register:
-    """Lay a reconstruction, cloud, mesh, splat or orthophoto that exists already on the map.
-
-    For example:
-
-    skymoor register odm/project --ortho ortho.tif --dsm dsm.tif --vertical-datum EPSG:3855 --ce90 2.1 --le90 3.8
-    --out result
-
-    skymoor register flight.tif flight_dsm.tif --ortho ortho.tif --dsm dsm.tif --accuracy unknown --out result
-
-    Its own files, moved to their places, are in the folder placed of the result; docs/your-models.md lists the kinds.
-    Exit status: 0 it is registered, 3 it is not, 2 wrong input or usage, 1 an error of skymoor.
-    """
-
-    model: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """A project's folder (COLMAP, ODM, OpenSfM, nerfstudio), or files that share one coordinate system: an orthophoto
-    and its DSM, a cloud, a mesh, a splat, cameras."""
-    out: Path
-    """Folder for the results; the same command again continues where it stopped."""
-    photos: Path | None = None
-    """Folder of the photos that the model was made from, where they are not beside it."""
-    ortho: str
-    """Satellite orthophoto, any CRS that GDAL reads; or its address, of which the part in --area or --near is fetched
-    once."""
-    dsm: float | str | None = None
-    """Its digital surface model (DSM) or the address of one, or one height of the ground in metres; without it heights
-    stay unknown."""
-    vertical_datum: str | None = None
-    """Vertical datum of these heights: "ellipsoid" or an EPSG code such as "EPSG:3855"."""
-    ce90: float | None = None
-    """Circular error of the reference, 90 percent, metres."""
-    le90: float | None = None
-    """Linear error of the reference, 90 percent, metres; not needed without heights."""
-    accuracy: Literal["unknown"] | None = None
-    """unknown in place of --ce90 and --le90: positions are then accurate relative to the reference only."""
-    area: tuple[float, float, float, float] | None = None
-    """Search only there: west, south, east and north in degrees."""
-    near: tuple[float, float, float] | None = None
-    """Search only there: latitude, longitude and a radius in metres."""
-    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """An option by its dotted name; may be repeated."""
-    require_heights: bool = False
-    """Exit with 3 also where the model is registered but its heights are not confirmed."""
-    seed: int = 0
-    """Makes a run repeatable."""
-    quiet: bool = False
-    """Plain lines in place of progress bars."""
     json: bool = False
     """For scripts: the result as JSON on stdout, all else on stderr."""
 
@@ -233,7 +194,8 @@ class Export:
     run: Annotated[Path, tyro.conf.Positional]
     """Folder of the run."""
     to: Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
-    """Formats, separated by commas: colmap, nerfstudio, laz, cog, geojson, gpkg, kml, ply, gltf, odm, exif, or all."""
+    """Formats, separated by commas: colmap, nerfstudio, laz, copc, cog, geojson, gpkg, geoparquet, kml, ply,
+    gltf, 3dtiles, stac, odm, tum, metashape, realityscan, opf, splat-training, exif, or all."""
     out: Path
     """Folder for the exports; each format gets a folder of its own in it."""
     quiet: bool = False

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from skymoor.cli.arguments import (
     Batch,
@@ -13,13 +13,13 @@ from skymoor.cli.arguments import (
     Export,
     Index,
     Reference,
-    Register,
     Report,
     Run,
     Simulate,
     View,
 )
 from skymoor.cli.progress import Screen
+from skymoor.cli.register_arguments import Register
 from skymoor.pipeline.words import size_in_words
 from skymoor.simulate.options import SiteOptions
 
@@ -43,6 +43,7 @@ def run(command: Run) -> bool:
     from skymoor.cli.tables import plan_table
     from skymoor.pipeline.option_parser import parse_option
     from skymoor.pipeline.prior import SearchPrior
+    from skymoor.pipeline.site_control import control_with_arguments
     from skymoor.pipeline.site_values import is_there
     from skymoor.results.ask.answer import ANSWERS
 
@@ -59,8 +60,11 @@ def run(command: Run) -> bool:
         ce90=command.ce90,
         le90=command.le90,
         accuracy=command.accuracy,
+        reference_run=command.reference_run,
     )
     site = site.bounded(SearchPrior.of(command.area, command.near, command.heading, command.height))
+    stated = (command.control, command.control_ce90, command.control_le90, command.control_datum)
+    site = replace(site, control=control_with_arguments(site.control, *stated, use=command.use_control))
     with Screen(plain=command.quiet, for_scripts=command.json) as screen:
         if command.site is not None and command.site.is_dir():
             screen.note(f"{site.source}: this file in the folder is used")
@@ -84,7 +88,7 @@ def run(command: Run) -> bool:
 def register(command: Register) -> bool:
     """`skymoor register`; returns whether the model is registered."""
     from skymoor.api_models import register_model
-    from skymoor.cli.tables import remedies, summary_table
+    from skymoor.cli.tables import control_lines, control_tables, remedies, summary_table
     from skymoor.pipeline.option_parser import parse_option
     from skymoor.results.placed import PLACED
     from skymoor.results.report.write import PAGE
@@ -100,16 +104,23 @@ def register(command: Register) -> bool:
             ce90=command.ce90,
             le90=command.le90,
             accuracy=command.accuracy,
+            reference_run=command.reference_run,
             area=command.area,
             near=command.near,
+            control=command.control,
+            control_ce90=command.control_ce90,
+            control_le90=command.control_le90,
+            control_datum=command.control_datum,
+            use_control=command.use_control,
             options=dict(map(parse_option, command.set)),
             seed=command.seed,
             progress=screen.progress,
             note=screen.note,
         )
         summary = result.summary
-        screen.show(summary_table(summary))
-        for line in remedies(summary):
+        for table in (summary_table(summary), *control_tables(summary)):
+            screen.show(table)
+        for line in (*remedies(summary), *control_lines(summary)):
             screen.note(line)
         if result.registered:
             screen.note(f"the model's own files, moved: {command.out / PLACED}")

@@ -22,7 +22,6 @@ from skymoor.cli.arguments import (
     Export,
     Index,
     Reference,
-    Register,
     Report,
     Run,
     Simulate,
@@ -30,6 +29,7 @@ from skymoor.cli.arguments import (
 )
 from skymoor.cli.guide_arguments import Ask, Init
 from skymoor.cli.machine_arguments import Completion, Doctor, Grids, Help, Schema, Version, Weights
+from skymoor.cli.register_arguments import Register
 from skymoor.cli.usage import parsed
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 from skymoor.pipeline.option_parser import nearest

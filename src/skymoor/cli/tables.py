@@ -18,6 +18,7 @@ from skymoor.evaluate import EvaluationRow
 from skymoor.pipeline.estimate import Step
 from skymoor.pipeline.words import size_in_words, time_in_words
 from skymoor.registration.criteria import remedy_of
+from skymoor.results.control import AXES, controlled_components
 
 MIB = 2**20
 
@@ -57,6 +58,52 @@ def summary_table(summary: dict[str, Any]) -> Table:
         if not item["components"]:
             table.add_row(item["set"], "-", item["status"], "0", "-", "-", "-", "-", "-", item["reason"])
     return table
+
+
+def control_tables(summary: dict[str, Any]) -> list[Table]:
+    """The residuals of control of each component that has some: model minus known, in metres."""
+    tables = []
+    for name, found in controlled_components(summary):
+        table = Table(title=Text(f"{name}: control {'that was used' if found['used'] else 'as a check'}, metres"))
+        for heading in ("name", "kind", "use", "photos", "east", "north", "up", "CE90", "LE90", "after", "reason"):
+            table.add_column(heading)
+        for row in found["points"]:
+            at_bar = len(row["residual_m"]) == 1
+            values = (
+                [f"{row['residual_m'][0]:+.3f} of length", "", ""]
+                if at_bar
+                else list(map(_signed, _axes(row, "residual_m")))
+            )
+            after = ", ".join(map(_signed, row["after_m"]))
+            inside = [{True: "inside", False: "outside", None: "-"}[row[key]] for key in ("inside_ce90", "inside_le90")]
+            cells = (row["kind"], row["use"], str(row["n_photos"]), *values, *inside, after or "-", row["reason"])
+            table.add_row(Text(row["name"]), *cells)
+        tables.append(table)
+    return tables
+
+
+def control_lines(summary: dict[str, Any]) -> list[str]:
+    """What a person must know of it: RMSE and coverage, what is wrong, and why it was not used."""
+    lines = []
+    for name, found in controlled_components(summary):
+        totals = found["totals"]
+        if totals["n"]:
+            rmse = " ".join(f"{axis} {_number(value)}" for axis, value in zip(AXES, totals["rmse_m"], strict=True))
+            inside = f"{totals['inside_ce90']:.0%} of {totals['n']} within CE90"
+            if totals["n_with_height"]:
+                inside += f", {totals['inside_le90']:.0%} of {totals['n_with_height']} within LE90"
+            lines.append(f"{name}: control: RMSE {rmse} m; {inside}")
+        lines += [f"{name}: control: {note}" for note in found["notes"]]
+        lines += [f"{name}: control was not used: {found['reason']}"] if found["reason"] else []
+    return lines
+
+
+def _axes(row: dict[str, Any], key: str) -> list[float | None]:
+    return row[key] or [None] * len(AXES)
+
+
+def _signed(value: float | None) -> str:
+    return "-" if value is None else f"{value:+.3f}"
 
 
 def _remark(component: dict[str, Any]) -> str:

@@ -1,7 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Geometry in float64, independent of images and maps."""
 
-from skymoor.geometry.adjust import gauge_centre, point_covariance, refine_similarity, tilt_deg
+from skymoor.geometry.adjust import (
+    gauge_centre,
+    moved_similarity,
+    point_covariance,
+    refine_similarity,
+    similarity_jacobian,
+    tilt_deg,
+)
 from skymoor.geometry.camera import Intrinsics
 from skymoor.geometry.plane import Plane, fit_plane_ransac
 from skymoor.geometry.ransac import RansacResult, ransac_similarity
@@ -14,9 +21,11 @@ __all__ = [
     "Similarity",
     "fit_plane_ransac",
     "gauge_centre",
+    "moved_similarity",
     "point_covariance",
     "ransac_similarity",
     "refine_similarity",
+    "similarity_jacobian",
     "tilt_deg",
     "umeyama",
     "umeyama_level",

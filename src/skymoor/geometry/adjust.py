@@ -53,7 +53,7 @@ def refine_similarity(
     current = initial
     for _ in range(iterations):
         step, centre, size = problem.step(current)
-        current = _updated(current, step, centre)
+        current = moved_similarity(current, step, centre)
         if np.linalg.norm(step * [size, size, size, size, 1, 1, 1]) < 1e-9 * problem.sigma.min():
             break
     weights = problem.weights(problem.lengths(current))
@@ -86,7 +86,7 @@ def gauge_centre(transform: Similarity, source: ArrayLike, weights: ArrayLike) -
 
 def point_covariance(covariance: Array, centre: Array, points: ArrayLike) -> Array:
     """Covariances (n, 3, 3) in m^2 of points (n, 3) in the target frame, from the (7, 7) one and its centre."""
-    jacobian = _jacobian(np.asarray(points, dtype=np.float64).reshape(-1, 3) - centre)
+    jacobian = similarity_jacobian(np.asarray(points, dtype=np.float64).reshape(-1, 3) - centre)
     return jacobian @ covariance @ np.swapaxes(jacobian, 1, 2)
 
 
@@ -135,7 +135,7 @@ class _Problem:
         centre = gauge_centre(transform, self.source, weights)
         transformed = transform.apply(self.source)
         root = np.sqrt(weights)[:, None] / self.sigma
-        jacobian = (_jacobian(transformed - centre) * root[:, :, None]).reshape(-1, 7)
+        jacobian = (similarity_jacobian(transformed - centre) * root[:, :, None]).reshape(-1, 7)
         right = jacobian.T @ ((self.target - transformed) * root).ravel()
         tilt_normal, tilt_right = self._tilt_equations(transform)
         size = _radius(transformed - centre, weights)
@@ -145,7 +145,7 @@ class _Problem:
         weights = self._checked_weights(transform)
         points = transform.apply(self.source) - gauge_centre(transform, self.source, weights)
         root = np.sqrt(weights)[:, None] / self.sigma
-        jacobian = (_jacobian(points) * root[:, :, None]).reshape(-1, 7)
+        jacobian = (similarity_jacobian(points) * root[:, :, None]).reshape(-1, 7)
         lengths, slopes = self.lengths(transform), _slopes(self.loss, self.lengths(transform))
         expected_slope, expected_square, expected_weight = _gaussian_means(self.loss)
         factor = floor = (expected_square / expected_weight) / (expected_slope / expected_weight) ** 2
@@ -161,7 +161,7 @@ class _Problem:
         weights = self._checked_weights(transform)
         centre = gauge_centre(transform, self.source, weights)
         points = transform.apply(self.source) - centre
-        jacobian = _jacobian(points)
+        jacobian = similarity_jacobian(points)
         slope = max(float(_slopes(self.loss, self.lengths(transform)).sum() / weights.sum()), 0.1)
         scores = jacobian * (weights[:, None] / self.sigma**2)[:, :, None]
         normal = slope * np.einsum("nij,nik->jk", scores, jacobian)
@@ -188,14 +188,15 @@ class _Problem:
         return jacobian.T @ jacobian, jacobian.T @ (-axis[:2] / self.tilt_sigma)
 
 
-def _updated(transform: Similarity, step: Array, centre: Array) -> Similarity:
+def moved_similarity(transform: Similarity, step: Array, centre: Array) -> Similarity:
+    """x -> c + t + exp(l) exp([w]) (T(x) - c) of a transform T, a step (7,) of l, w and t, and c = `centre` (3,)."""
     scale = float(np.exp(step[0]))
     rotation = scipy.spatial.transform.Rotation.from_rotvec(step[1:4]).as_matrix()
     about_centre = Similarity(scale, rotation, centre + step[4:] - scale * (rotation @ centre))
     return about_centre @ transform
 
 
-def _jacobian(points: Array) -> Array:
+def similarity_jacobian(points: Array) -> Array:
     """Derivative (n, 3, 7) of points, given from the gauge centre, by (log scale, rotation vector, translation)."""
     jacobian = np.zeros((len(points), 3, 7))
     jacobian[:, :, 0] = points

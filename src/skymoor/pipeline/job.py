@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from skymoor.control import ControlResult
 from skymoor.densify import MetricScale, PoseCheck
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.geometry import Similarity
@@ -100,7 +101,8 @@ class ComponentResult:
     component is registered to `base`, an airborne one, and `walls` shows both; or straight to the reference, and `plan`
     shows it there; `metric` is its scale by monocular depth.
     `hypotheses` are all that were found, the best first, and `searched` the same in pixels. `flat` says that its
-    heights are no measurement, but those of a plane: it is an orthophoto alone.
+    heights are no measurement, but those of a plane: it is an orthophoto alone. `control` is what surveyed points and
+    positions say of it.
     """
 
     name: str
@@ -120,6 +122,7 @@ class ComponentResult:
     hypotheses: Sequence[MapHypothesis] = ()
     searched: Searched | None = None
     flat: bool = False
+    control: ControlResult | None = None
 
     @property
     def cameras_enu(self) -> list[Camera]:

@@ -15,7 +15,8 @@ from skymoor.pipeline.feature_index import checked_index, reference_features
 from skymoor.pipeline.job import Job
 from skymoor.pipeline.options import Options
 from skymoor.pipeline.photo_sets import PhotoSet, notes_of, require_distinct
-from skymoor.pipeline.site import ReferenceFiles, Site
+from skymoor.pipeline.reference_files import ReferenceFiles
+from skymoor.pipeline.site import Site
 from skymoor.reference.raster import raster_files
 from skymoor.reference.read import read_reference
 from skymoor.store import PRODUCTS, Store, has_metadata
@@ -104,7 +105,8 @@ def require_run(site: Site, out: Path, seed: int) -> None:
         raise InputError(f"--seed {seed}: give a whole number from 0 to {LARGEST_SEED}")
     sources, where = [source for _, there in site.sets for source in there], out.resolve()
     rasters = [] if site.addressed else _rasters(site.reference)
-    for path in (*rasters, *sources):
+    given = () if site.control is None else site.control.files
+    for path in (*rasters, *given, *sources):
         inside = path.resolve()
         if inside == where or (inside.is_relative_to(where) and inside.relative_to(where).parts[0] in PRODUCTS):
             raise InputError(f"{path}: lies where the results would be written; give another folder with --out")

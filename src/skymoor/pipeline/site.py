@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +18,8 @@ from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.pipeline.addressed import DSM, ORTHO, addressed
 from skymoor.pipeline.option_parser import parse_option, with_options
 from skymoor.pipeline.prior import KEYS, Person, SearchPrior, prior_from_table
+from skymoor.pipeline.reference_files import RIGHTS, ReferenceFiles, earlier_run
+from skymoor.pipeline.site_control import ControlFiles, control_from_table
 from skymoor.pipeline.site_values import (
     Problems,
     existing,
@@ -36,37 +38,12 @@ from skymoor.pipeline.usual_accuracy import USUAL, not_stated
 from skymoor.reference.raster import MapRaster
 from skymoor.sources.addresses import Addressed
 
-__all__ = ["ReferenceFiles", "Site", "load_site", "parse_option", "site_from_arguments", "with_options"]
+__all__ = ["Site", "load_site", "parse_option", "site_from_arguments", "site_on_run", "with_options"]
 
 Array = NDArray[np.float64]
 
-RIGHTS = ("licence", "credit", "date")
 ACCURACY_KEYS = ("covariance", "ce90", "le90", "accuracy")
-REFERENCE_KEYS = ("ortho", "dsm", "vertical_datum", *ACCURACY_KEYS, *RIGHTS)
-
-
-@dataclass(frozen=True, eq=False)
-class ReferenceFiles:
-    """Orthophoto and DSM; `covariance` (3, 3) m^2 east-north-up is their absolute accuracy, or
-    `UNKNOWN_ACCURACY`.
-
-    In place of a DSM there may be one height of the ground in metres, or None where heights are not known.
-    `vertical_datum` is "ellipsoid", an EPSG code, or None where the user did not say. `licence`, `credit` and `date`
-    are text about both.
-    """
-
-    ortho: Path
-    dsm: Path | float | None
-    vertical_datum: str | None
-    covariance: Array
-    licence: str | None = None
-    credit: str | None = None
-    date: str | None = None
-
-    @property
-    def rasters(self) -> tuple[Path, Path | float | None, str | None]:
-        """Orthophoto, DSM and vertical datum, as the reader takes them."""
-        return self.ortho, self.dsm, self.vertical_datum
+REFERENCE_KEYS = ("ortho", "dsm", "run", "vertical_datum", *ACCURACY_KEYS, *RIGHTS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +64,7 @@ class Site:
     prior: SearchPrior = field(default_factory=SearchPrior)
     addressed: Addressed | None = None
     person: Person | None = None
+    control: ControlFiles | None = None
 
     @property
     def bounds(self) -> SearchPrior:
@@ -124,7 +102,7 @@ def load_site(
     path = site_file(path)
     table, where, root = read_toml(path), str(path), path.resolve().parent
     problems = Problems(where)
-    table = known_keys(table, ("name", "reference", "airborne", "ground", "prior", "options"), "", problems)
+    table = known_keys(table, ("name", "reference", "airborne", "ground", "prior", "control", "options"), "", problems)
     overruled = _Overruled(vertical_datum, ce90, le90, accuracy)
     site = Site(
         name=problems.value(lambda: text_of(table.get("name", root.name), where, "name"), root.name),
@@ -137,6 +115,9 @@ def load_site(
         options=problems.value(lambda: table_of(table.get("options", {}), where, "options"), {}),
         source=where,
         prior=problems.value(lambda: _prior(table.get("prior", {}), problems), SearchPrior()),
+        control=problems.value(lambda: control_from_table(root, table["control"], problems), None)
+        if "control" in table
+        else None,
     )
     with problems.collected():
         reference = known_keys(
@@ -167,9 +148,7 @@ def site_from_arguments(
     `ortho` is a file or an address, `dsm` too, or one height in metres, or None, which needs no `le90`. Raises
     `InputError` when a file or folder is not there, no images are given, or the accuracy is not stated.
     """
-    folders = [*airborne, *ground]
-    if not folders:
-        raise InputError("there are no images; give --airborne FOLDER, or --ground FOLDER")
+    root = _root_of([*airborne, *ground])
     sources = addressed(Path(), ortho, dsm)
     if sources is not None:
         ortho, dsm = ORTHO, DSM if isinstance(dsm, str | Path) else dsm
@@ -179,17 +158,29 @@ def site_from_arguments(
             raise InputError(f"{flag} {path}: there is no such file")
     if isinstance(dsm, float) and not np.isfinite(dsm):
         raise InputError(f"--dsm {dsm}: give a file, or the height of the ground in metres")
-    for folder in folders:
-        if not (is_there(folder, folder=True) or is_there(folder)):
-            raise InputError(f"{folder}: there is no such folder of images, nor video")
-    root = Path(os.path.commonpath([folder.resolve().parent for folder in folders]))
     if accuracy is not None:
         covariance = _unknown(accuracy, "--accuracy")
     else:
         covariance = _from_ce90_le90(ce90, le90, "command line", dsm, vertical_datum)
     sets = tuple((source,) for source in ground)
-    files = ReferenceFiles(ortho, dsm, vertical_datum, covariance, **rights_beside(ortho, RIGHTS))
+    files = ReferenceFiles(ortho, dsm, vertical_datum, covariance).credited(rights_beside(ortho, RIGHTS))
     return Site(root.name, root, files, tuple(airborne), sets, addressed=sources)
+
+
+def site_on_run(airborne: Sequence[Path], ground: Sequence[Path], run: Path) -> Site:
+    """The site of these photos whose reference is what an earlier run left in its folder. Raises `InputError`."""
+    root = _root_of([*airborne, *ground])
+    return Site(root.name, root, earlier_run(run), tuple(airborne), tuple((source,) for source in ground))
+
+
+def _root_of(folders: Sequence[Path]) -> Path:
+    """The folder that holds all folders of images."""
+    if not folders:
+        raise InputError("there are no images; give --airborne FOLDER, or --ground FOLDER")
+    for folder in folders:
+        if not (is_there(folder, folder=True) or is_there(folder)):
+            raise InputError(f"{folder}: there is no such folder of images, nor video")
+    return Path(os.path.commonpath([folder.resolve().parent for folder in folders]))
 
 
 @dataclass(frozen=True)
@@ -220,6 +211,8 @@ def _reference(
     root: Path, reference: Mapping[str, object], overruled: _Overruled, problems: Problems
 ) -> tuple[ReferenceFiles, Addressed | None]:
     """The files of the reference, and their addresses where they have some: then the paths are those of the run."""
+    if "run" in reference:
+        return _on_run(root, reference, overruled, problems), None
     where, unread = problems.where, root / "unread"  # stands for files that are missing, and is never returned
     sources = addressed(root, reference.get("ortho"), reference.get("dsm"))
     ortho: Path = ORTHO
@@ -245,7 +238,17 @@ def _reference(
         for key in RIGHTS
         if key in reference
     }
-    return ReferenceFiles(ortho, dsm, datum, covariance, **rights), sources
+    return ReferenceFiles(ortho, dsm, datum, covariance).credited(rights), sources
+
+
+def _on_run(root: Path, reference: Mapping[str, object], overruled: _Overruled, problems: Problems) -> ReferenceFiles:
+    """The products of an earlier run, which say themselves what else the table would."""
+    where = problems.where
+    clash = [key for key in reference if key != "run"]
+    clash += [f"--{key}".replace("_", "-") for key, value in asdict(overruled).items() if value is not None]
+    if clash:
+        raise InputError(f"{where}: reference.run says what {' and '.join(clash)} would; keep one of them")
+    return earlier_run(root / text_of(reference["run"], where, "reference.run"))
 
 
 def _covariance(reference: Mapping[str, object], where: str, dsm: Path | float | None, vertical_datum: object) -> Array:

@@ -46,10 +46,23 @@ def site_schema() -> dict[str, Any]:
                 "reference": _table(reference, required=["ortho"]),
                 "airborne": images,
                 "ground": {"type": "array", "items": images},
+                "control": _table(_control(metres), required=["files"]),
                 "options": _options(Options()),
             },
             required=["reference"],
         ),
+    }
+
+
+def _control(metres: dict[str, Any]) -> dict[str, Any]:
+    file = {"type": "string", "description": "gcp_list.txt or geo.txt of ODM, or a table of points or scale bars"}
+    return {
+        "files": {"anyOf": [file, {"type": "array", "items": file, "minItems": 1}]},
+        "use": {"type": "boolean", "description": "move the models onto it; otherwise they are compared with it"},
+        "crs": {"type": "string", "description": "of x and y in tables"},
+        "vertical_datum": {"type": "string", "description": '"ellipsoid" or an EPSG code'},
+        "ce90": {**metres, "description": "circular error, 90 percent, metres, where the files do not say"},
+        "le90": {**metres, "description": "linear error, 90 percent, metres, where the files do not say"},
     }
 
 

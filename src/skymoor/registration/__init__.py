@@ -11,7 +11,7 @@ from skymoor.registration.airborne import (
     with_covariance_of,
 )
 from skymoor.registration.bare_earth import ground_level, is_bare_earth, raised
-from skymoor.registration.covariance import CameraAccuracy, camera_accuracy
+from skymoor.registration.covariance import SHAPE_FACTOR, CameraAccuracy, camera_accuracy, focal_motion
 from skymoor.registration.height_verdict import focal_posterior, judge_heights
 from skymoor.registration.heights import HeightFit, compare_heights
 from skymoor.registration.lift import LiftOptions, lift
@@ -21,6 +21,7 @@ from skymoor.registration.refusal import decide
 from skymoor.registration.significance import NullSample, false_alarm_probability
 
 __all__ = [
+    "SHAPE_FACTOR",
     "Agreement",
     "CameraAccuracy",
     "HeightFit",
@@ -34,6 +35,7 @@ __all__ = [
     "false_alarm_probability",
     "fit_plan",
     "flat_transform",
+    "focal_motion",
     "focal_posterior",
     "ground_level",
     "independent_cells",

@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import block_diag, cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
 from skymoor.errors import TooFewMatches
-from skymoor.geometry import Similarity, point_covariance
+from skymoor.geometry import Similarity, similarity_jacobian
 from skymoor.geometry.adjust import sandwich_covariance
 from skymoor.types import Array, Calibration, Reference, Registration
 
@@ -228,6 +228,8 @@ def camera_accuracy(
     A focal length that is one percent too long puts every camera one percent too far from what it shows: too high, and
     with an oblique view also aside.
 
+    After control, the covariance is that of the position on Earth: the reference's error is no part of it.
+
     Args:
         registration: with a covariance.
         centres_enu: (n, 3) metres.
@@ -241,11 +243,20 @@ def camera_accuracy(
     if registration.covariance is None or registration.centroid_enu is None:
         raise TooFewMatches("a registration without a covariance has no predicted accuracy")
     centres = np.asarray(centres_enu, dtype=np.float64).reshape(-1, 3)
-    relative = point_covariance(registration.covariance, registration.centroid_enu, centres)
-    if calibration is not None:
-        away = centres - registration.centroid_enu
-        away = away * [0.0, 0.0, 1.0] if viewed_enu is None else centres - viewed_enu
-        relative += calibration.focal_sigma**2 * away[:, :, None] * away[:, None, :]
+    away = focal_motion(centres, registration.centroid_enu, calibration, viewed_enu)
+    focal_sigma = 0.0 if calibration is None else calibration.focal_sigma
+    covariance, shared = block_diag(registration.covariance, focal_sigma**2), reference.covariance
+    if registration.absolute is not None:
+        covariance, shared = registration.absolute, np.zeros((3, 3))
+    jacobian = np.concatenate([similarity_jacobian(centres - registration.centroid_enu), away[:, :, None]], axis=2)
+    relative = jacobian @ covariance @ np.swapaxes(jacobian, 1, 2)
     if shape_enu is not None:
         relative = relative + SHAPE_FACTOR**2 * shape_enu
-    return CameraAccuracy(np.broadcast_to(reference.covariance, relative.shape), relative)
+    return CameraAccuracy(np.broadcast_to(shared, relative.shape), relative)
+
+
+def focal_motion(centres: Array, centroid: Array, calibration: Calibration | None, viewed: Array | None) -> Array:
+    """By how much camera centres (n, 3) move with the logarithm of the focal length, (n, 3) metres; see above."""
+    if calibration is None:
+        return np.zeros_like(centres)
+    return np.asarray((centres - centroid) * [0.0, 0.0, 1.0] if viewed is None else centres - viewed)

@@ -317,6 +317,16 @@ KINDS: dict[str, Kind] = {
         spec=".0f",
         unit="%",
     ),
+    "control_points": Kind(
+        name="surveyed positions that agree",
+        scopes=("airborne", "map"),
+        at="least",
+        refusal="{value} surveyed positions agree; at least {limit} are required",
+        meaning="A component that was not found on the map is placed by control alone: its points and known camera "
+        "positions must agree with one similarity, after data snooping.",
+        limit="at least 4, with --use-control",
+        remedy="Measure more control points, each in two photos or more, spread over the whole component.",
+    ),
     "other_hypotheses": Kind(
         name="other hypotheses",
         scopes=("ground",),

@@ -31,7 +31,7 @@ def accuracy_of(item: ComponentResult, reference: Reference) -> CameraAccuracy:
     if base is None:
         return found
     carried = camera_accuracy(base.registration, centres, reference, base.component.calibration)
-    return CameraAccuracy(found.shared, found.relative + carried.relative)
+    return CameraAccuracy(carried.shared, found.relative + carried.relative)
 
 
 def _surface_points(item: ComponentResult) -> Array:
@@ -60,8 +60,9 @@ def surface_accuracy(item: ComponentResult, reference: Reference) -> dict[str, A
         return None
     found = camera_accuracy(item.registration, _surface_points(item), reference, None)
     names = ("ce90_m", "le90_m", "relative_ce90_m", "relative_le90_m")
+    known = reference.accuracy_known or item.registration.absolute is not None
     covariances = {
-        "covariance_m2": found.total.mean(axis=0) if reference.accuracy_known else None,
+        "covariance_m2": found.total.mean(axis=0) if known else None,
         "relative_covariance_m2": found.relative.mean(axis=0),
     }
     return covariances | dict(zip(names, figures_of(found).mean(axis=0).tolist(), strict=True))

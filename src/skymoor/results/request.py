@@ -14,7 +14,9 @@ from skymoor.pipeline.job import ComponentResult
 from skymoor.pipeline.option_parser import option_values
 from skymoor.pipeline.options import Options
 from skymoor.pipeline.prior import own_azimuth, plain_prior, prior_from_plain
-from skymoor.pipeline.site import ReferenceFiles, Site
+from skymoor.pipeline.reference_files import ReferenceFiles
+from skymoor.pipeline.site import Site
+from skymoor.pipeline.site_control import control_from_plain, plain_control
 from skymoor.results.read import Result
 from skymoor.results.report.words import flattened
 from skymoor.sources.addresses import Addressed, public_address
@@ -34,7 +36,9 @@ def request_of(site: Site) -> dict[str, Any]:
         "ortho_address": ortho,
         "dsm_address": dsm,
         "covariance_m2": None if np.isnan(stated).any() else stated,
+        "reference_run": None if site.reference.run is None else site.reference.run.resolve(),
         "prior": plain_prior(site.prior),
+        "control": plain_control(site.control),
     }
 
 
@@ -98,6 +102,7 @@ def site_of_run(result: Result) -> Site:
             vertical_datum=files["vertical_datum"],
             covariance=UNKNOWN_ACCURACY if stated is None else np.array(stated, dtype=np.float64),
             **{key: files[key] for key in ("licence", "credit", "date")},
+            run=None if request.get("reference_run") is None else Path(request["reference_run"]),
         )
         return Site(
             name=summary["site"],
@@ -108,6 +113,7 @@ def site_of_run(result: Result) -> Site:
             options=changed_options(result),
             source=str(request["site_file"] or ON_COMMAND_LINE),
             prior=prior_from_plain(request["prior"]),
+            control=control_from_plain(request.get("control")),
             addressed=None if addressed is None else Addressed(addressed, request["dsm_address"]),
         )
     except (KeyError, TypeError, ValueError) as error:

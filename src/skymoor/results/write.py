@@ -21,6 +21,7 @@ from skymoor.pipeline.options import MatchOptions, Options
 from skymoor.pipeline.photo_sets import or_too_few
 from skymoor.pipeline.site import Site
 from skymoor.results.accuracy import accuracy_of, figures_of, surface_accuracy
+from skymoor.results.control import CONTROL_COLUMNS, control_summary, control_table
 from skymoor.results.formats import (
     cameras_geojson,
     cameras_table,
@@ -75,6 +76,7 @@ def write_products(
         store.remove(name)
     store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
     store.write_json("cameras.geojson", cameras_geojson(rows))
+    _write_control(sets, site, store)
     for found in sets:
         for k, item in enumerate(found.components):
             _write_component(f"{found.name}_{k}", item, reference, options.match, store)
@@ -105,6 +107,14 @@ def write_products(
     }
     store.write_json("summary.json", summary)
     return summary
+
+
+def _write_control(sets: Sequence[SetResult], site: Site, store: Store) -> None:
+    if site.control is None:
+        store.remove("control.csv")
+        return
+    components = [(found.name, k, item.control) for found in sets for k, item in enumerate(found.components)]
+    store.write_csv("control.csv", CONTROL_COLUMNS, control_table(components))
 
 
 def camera_rows(found: SetResult, reference: Reference) -> list[CameraRow]:
@@ -173,6 +183,7 @@ def _component_summary(index: int, item: ComponentResult, reference: Reference) 
         "hypotheses": _hypotheses(item, reference),
         "first_photo": first_photo(item),
         "contradicting_cameras": [check.image for check in item.pose_checks if check.contradicts],
+        "control": control_summary(item.control),
     }
     if found.registered and found.enu_from_level is not None:
         ce90, le90, relative_ce90, relative_le90 = figures_of(accuracy_of(item, reference)).mean(axis=0).tolist()

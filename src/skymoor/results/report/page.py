@@ -15,9 +15,11 @@ from jinja2 import BaseLoader, Environment
 from markupsafe import Markup
 
 from skymoor.registration.criteria import remedy_of
+from skymoor.results.changes import changes_words
 from skymoor.results.mosaic import Mosaic, mosaic_of
 from skymoor.results.read import ComponentSummary, Result
 from skymoor.results.report import words
+from skymoor.results.report.control import control_parts
 from skymoor.results.report.figures import histogram
 from skymoor.results.report.images import data_uri, difference_uri, file_uri
 
@@ -80,11 +82,13 @@ def report_page(result: Result) -> str:
         asked=has_question(result),
         glossary=words.GLOSSARY,
         evaluation=_evaluation(result.folder),
+        control=control_parts(result.summary),
         mosaic=mosaic,
         map=_map(result, mosaic),
         satellite=None if mosaic.satellite is None else data_uri(mosaic.satellite),
         swipe=_swipe(mosaic),
         heights=_heights(mosaic),
+        changes=_changes(result.folder),
         registered=result.registered_cameras,
         stages=_stages(result.summary.get("stages", [])),
         options=list(words.flattened(result.summary.get("options", {}))),
@@ -165,6 +169,12 @@ def _heights(mosaic: Mosaic) -> dict[str, Any] | None:
     if difference is None:
         return None
     return {"uri": difference_uri(difference), "histogram": histogram(difference, "Model minus reference")}
+
+
+def _changes(folder: Path) -> dict[str, str] | None:
+    """What changed since the earlier run that this one was registered on."""
+    told, uri = changes_words(folder), file_uri(folder / "matches" / "change.png", SIDES_PX["wide"])
+    return {"words": told, "uri": uri} if told and uri else None
 
 
 def _stages(records: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -23,6 +23,7 @@ GLOSSARY = {
     "match score": "Agreement of the model seen from above with the reference, in standard deviations of noise.",
     "decoy": "A mirrored or shuffled render, which matches nowhere: its best score shows what coincidence reaches.",
     "false-alarm probability": "How likely one more decoy would score as high as the hypothesis.",
+    "control": "Surveyed points, camera positions and lengths, which models are compared with or moved onto.",
     "inliers": "Matches that agree with the transform within a limit; the inlier ratio is their share.",
     "residual": "What remains between a match of the model and of the reference after the transform.",
     "contrast": "How far ground photos agree better with the walls at the hypothesis than a few metres aside.",
@@ -70,10 +71,18 @@ HEIGHT_WORDS = {
     "NOT_CONFIRMED": "Heights are not confirmed, and none is written",
 }
 
+HEIGHTS_OF_CONTROL = "Heights hang on control"
+
 
 def height_words(component: ComponentSummary) -> str:
     """What the reference says of the heights; empty for runs of versions that did not ask."""
-    words = HEIGHT_WORDS.get(component.heights or "", "")
+    points = (component.summary.get("control") or {}).get("points", ())
+    hung = any(one["use"] == "control" and one["after_m"][2:] not in ([], [None]) for one in points)
+    words = (
+        HEIGHTS_OF_CONTROL
+        if hung and component.heights == "OFFSET_ONLY"
+        else HEIGHT_WORDS.get(component.heights or "", "")
+    )
     reason = (component.summary.get("height_verdict") or {}).get("reason", "")
     lean = component.summary.get("lean_m_per_m")
     told = f"{words}{': ' + reason if reason else ''}." if words else ""
