@@ -3,16 +3,17 @@
 
     python benchmarks/given_models.py --out WORK SITE [SITE ...] [--photos FOLDER] [--kinds colmap,cloud,...]
 
-A site is a folder with site.toml, whose reference has files, and truth.csv. It is run once; what that run made of the
-photos, in a frame of its own and without its position, is then given to `skymoor register`. The error is the mean
-horizontal (and vertical) distance of the cameras to the truth: of clouds and orthophotos, which have none, that of the
-run's cameras moved as the model was moved. A line of JSON for each. Resumes.
+A site is a folder with site.toml, whose reference has files, and truth.csv. It is run once (or a finished run lies in
+WORK/SITE/run); what that run made of the photos, in a frame of its own and without its position, is then given to
+`skymoor register`. The error is the mean horizontal (and vertical) distance of the cameras to the truth: of clouds and
+orthophotos, which have none, that of the run's cameras moved as the model was moved. A line of JSON for each. Resumes.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 import time
 import tomllib
@@ -112,9 +113,10 @@ CASES: dict[str, Case] = {
 
 def errors(found: Array, run: Result, truth: Path) -> dict[str, float]:
     """Mean distances in plan and in height of positions (n, 3) ENU of the run's cameras to the truth."""
-    true = {row.image: row for row in read_truth_csv(truth)}
-    known = [k for k, row in enumerate(run.registered_cameras) if row.image in true]
-    lla = [true[run.registered_cameras[k].image] for k in known]
+    true = {Path(row.image).name: row for row in read_truth_csv(truth)}
+    names = [Path(row.image).name for row in run.registered_cameras]
+    known = [k for k, name in enumerate(names) if name in true and run.registered_cameras[k].set == "airborne"]
+    lla = [true[names[k]] for k in known]
     at = run.frame.enu_from_lla(*np.array([[one.lat, one.lon, one.height] for one in lla], dtype=np.float64).T)
     away = found[known] - at
     return {"plan_m": float(np.hypot(*away[:, :2].T).mean()), "height_m": float(np.abs(away[:, 2]).mean())}
@@ -123,11 +125,13 @@ def errors(found: Array, run: Result, truth: Path) -> dict[str, float]:
 def reference_of(site: Path) -> dict[str, Any]:
     table = tomllib.loads((site / "site.toml").read_text())["reference"]
     files = {key: site / table[key] if isinstance(table[key], str) else table[key] for key in ("ortho", "dsm")}
-    return files | {key: table[key] for key in ("vertical_datum", "ce90", "le90") if key in table}
+    stated = {key: table[key] for key in ("vertical_datum", "ce90", "le90") if key in table}
+    return files | ({"accuracy": "unknown"} if "ce90" not in stated else {}) | stated  # it changes no position
 
 
 def placed(run: Result, site: Path, kind: str, work: Path, photos: Path | None) -> dict[str, Any]:
-    (work / "given").mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(work / "given", ignore_errors=True)  # of a broken run
+    (work / "given").mkdir(parents=True)
     start, cpu = time.time(), time.process_time()
     files, moved = CASES[kind](run, site, work / "given")
     extra = {"photos": photos} if kind == "colmap" and photos is not None else {}
@@ -153,7 +157,8 @@ def main() -> None:
     options = parser.parse_args()
     for site in options.sites:
         work = options.out / site.name
-        run = skymoor.register(site / "site.toml", out=work / "run")
+        done = (work / "run" / "summary.json").is_file()
+        run = skymoor.read(work / "run") if done else skymoor.register(site / "site.toml", out=work / "run")
         print(json.dumps({"site": site.name, "kind": "photos", **errors(old_cameras(run), run, site / "truth.csv")}))
         for kind in options.kinds.split(","):
             file = work / kind.replace(" ", "_") / "line.json"

@@ -3,29 +3,17 @@
 
 from __future__ import annotations
 
-import importlib.util
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from skymoor.pipeline.option_parser import parse_option
 from skymoor.simulate.site import Site
+from support.examples import example
 from support.exported_run import write_run
 from support.finished import finished_run
 from support.small_run import FASTER
-
-EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
-
-
-def example(name: str) -> Any:
-    """The module of an example."""
-    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_reading_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

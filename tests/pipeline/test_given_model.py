@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from skymoor.pipeline.site import load_site
 from skymoor.results.formats._crs import MapFrame
 from skymoor.results.read import Result
 from skymoor.simulate.site import Site
+from support.examples import example
 from support.given_models import (
     LEVEL,
     TILTED,
@@ -86,7 +88,10 @@ def test_an_orthophoto_without_a_position(finished: Path, small_site: Site, tmp_
     assert (tmp_path / "out" / "report.html").exists()
 
 
-def test_an_orthophoto_and_its_dsm_in_units_of_their_own(finished: Path, small_site: Site, tmp_path: Path) -> None:
+def test_a_project_of_odm_in_units_of_its_own(
+    finished: Path, small_site: Site, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the example of the documentation, as WebODM zips it: orthophoto and DSM keep their places in the project."""
     bands, heights, true = turned_rasters(finished)
     unit, known = 0.125, heights > -9999
     grid = (
@@ -95,13 +100,24 @@ def test_an_orthophoto_and_its_dsm_in_units_of_their_own(finished: Path, small_s
         @ Affine.scale(np.hypot(true.a, true.d), -np.hypot(true.a, true.d))
     )
     relative = np.where(known, (heights - heights[known].mean()) * unit, -9999).astype(np.float32)
-    ortho = write_raster(tmp_path / "o.tif", bands, grid)
-    dsm = write_raster(tmp_path / "d.tif", relative[None], grid, nodata=-9999)
-    result, _ = registered(small_site, [dsm, ortho], tmp_path / "out")
-    assert result.registered and result.components[0].heights in ("CONFIRMED", "OFFSET_ONLY")
-    error = off_m(tmp_path / "out" / "placed" / "o.tif", true, finished)
+    for name in ("odm_orthophoto", "odm_dem"):
+        (tmp_path / "task" / name).mkdir(parents=True)
+    write_raster(tmp_path / "task" / "odm_orthophoto" / "odm_orthophoto.tif", bands, grid)
+    write_raster(tmp_path / "task" / "odm_dem" / "dsm.tif", relative[None], grid, nodata=-9999)
+    zipped = Path(shutil.make_archive(str(tmp_path / "all"), "zip", tmp_path / "task"))
+    files = load_site(small_site.folder / "airborne.toml").reference
+    table = tmp_path / "reference.toml"
+    lines = [f'ortho = "{files.ortho}"', f'dsm = "{files.dsm}"', f'vertical_datum = "{files.vertical_datum}"']
+    table.write_text("\n".join(["[reference]", *lines, "ce90 = 2.0", "le90 = 3.0"]))
+    options = dict(map(parse_option, OPTIONS))
+    assert example("lay_odm_on_reference").main(zipped, table, tmp_path / "out", options=options, seed=SEED)
+    assert capsys.readouterr().out.count(": moved") == 2
+    result = skymoor.read(tmp_path / "out" / "result")
+    assert result.components[0].heights in ("CONFIRMED", "OFFSET_ONLY")
+    project = tmp_path / "out" / "project"
+    error = off_m(project / "odm_orthophoto" / "odm_orthophoto.tif", true, finished)
     assert 0.001 < error.mean() < 0.3
-    with rasterio.open(tmp_path / "out" / "placed" / "d.tif") as file:
+    with rasterio.open(project / "odm_dem" / "dsm.tif") as file:
         moved = file.read(1)
     gap = (moved - heights)[known]
     assert 0.001 < np.abs(gap).mean() < 0.5
