@@ -19,7 +19,7 @@ from skymoor.match.decoys import decoy_scores
 from skymoor.match.search import search_hypotheses
 from skymoor.orient import estimate_gravity, level_from_gravity
 from skymoor.pipeline.addressed import with_files
-from skymoor.pipeline.estimate import Step, estimate_run
+from skymoor.pipeline.estimate import Step, estimate_jobs, estimate_run
 from skymoor.pipeline.job import Job
 from skymoor.pipeline.jobs import StageProgress, jobs_of, require_run, track_stage
 from skymoor.pipeline.log import logged
@@ -74,6 +74,7 @@ def register(
     seed: int = 0,
     progress: StageProgress = ignore,
     note: Callable[[str], None] = ignore,
+    planned: Callable[[Sequence[Step]], None] = ignore,
 ) -> Result:
     """Register a site's photos on the Earth, and read back what came of it. Nothing is printed.
 
@@ -107,6 +108,7 @@ def register(
         seed: makes a run repeatable.
         progress: called with the name of a stage, steps done and in all, and now and then a line: progress("search",
             3, 40). `note` is called with one line for each irregularity.
+        planned: called once, when the input is read, with the steps to come and about how long each takes.
 
     Returns:
         The result, also where a component is refused: `Result.registered` and the reasons of its components say so.
@@ -128,6 +130,7 @@ def register(
     with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
         loaded = with_files(loaded, store.root, partial(track_stage, progress), note)
         jobs = jobs_of(loaded, sets, chosen, store, seed, progress, note)
+        planned(estimate_jobs(jobs))
         results = register_sets(loaded, jobs, note)
         found = [
             SetResult(one.name, one.sources, job.photos.names, result, one.files.notes)

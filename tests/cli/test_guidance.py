@@ -49,7 +49,7 @@ def test_a_dry_run_says_what_it_would_do_and_writes_nothing(tmp_path: Path, caps
     assert run(site, "--dry-run", "--json") == 0
     told = capsys.readouterr()
     steps = json.loads(told.out)["steps"]
-    assert [step["name"] for step in steps][:3] == ["photos", "reference", "reconstruct"]
+    assert [step["name"] for step in steps][:3] == ["reference", "photos", "reconstruct"]
     assert all(step["seconds"] > 0 and step["mib"] > 100 for step in steps)
     assert "nothing was written" in told.err
     assert content(site) == before and not (site / "out").exists()

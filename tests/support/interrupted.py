@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import resource
 import signal
+import sys
 import tempfile
+import time
 from collections.abc import Callable
+from importlib import import_module
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -110,3 +114,42 @@ def run_site(arguments: list[str], temporary: Path) -> None:
         os.dup2(nothing.fileno(), 1)
         os.dup2(nothing.fileno(), 2)
     os._exit(main(arguments))
+
+
+def run_site_within(
+    arguments: list[str], folder: Path, module: str, function: str, listens: bool, grace_s: float
+) -> None:
+    """`skymoor run`, which makes the file `folder`/begun when it calls this function of a library.
+
+    Unless it `listens`, the call takes ten minutes in which nothing of Python runs in its thread. What the screen shows
+    goes to `folder`/screen, and temporary files to `folder`/temporary. `grace_s` is what a signal leaves the work.
+    """
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job's children are born deaf to it
+    from skymoor.cli import main as command
+
+    command.GRACE_S = grace_s
+    (folder / "temporary").mkdir()
+    tempfile.tempdir = str(folder / "temporary")
+    screen = os.open(folder / "screen", os.O_CREAT | os.O_WRONLY | os.O_TRUNC | os.O_APPEND)
+    os.dup2(screen, 1)
+    os.dup2(screen, 2)
+    owner = import_module(module)
+    real, sleep = getattr(owner, function), ctypes.CDLL(None).sleep
+
+    def call(*given: Any, **options: Any) -> Any:
+        (folder / "begun").touch()
+        if not listens:
+            sleep(600)
+        return real(*given, **options)
+
+    setattr(owner, function, call)
+    status = command.main(arguments)
+    sys.stdout.flush()
+    os._exit(status)
+
+
+def until(there: Path, process: BaseProcess) -> None:
+    """Wait for a file that a process will make."""
+    while not there.exists():
+        assert process.is_alive(), f"ended with {process.exitcode}"
+        time.sleep(0.02)

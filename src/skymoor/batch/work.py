@@ -15,6 +15,13 @@ from skymoor.batch.sites import BAD_INPUT, LOG, Outcome, SiteTask, outcome_of
 
 IN_USE = "another run is writing here"  # what a run says of a folder that is locked
 RETRIES, WAIT_S = 6, 5.0  # a lost worker's process ends within seconds
+RUNNING: set[subprocess.Popen[bytes]] = set()
+
+
+def pass_on(number: int) -> None:
+    """Send a signal to the processes of all sites, which end as `skymoor run` does."""
+    for process in tuple(RUNNING):
+        process.send_signal(number)
 
 
 def run_site(
@@ -55,12 +62,14 @@ def _ended(command: Sequence[str], log: Path, environment: dict[str, str]) -> in
     """The exit status of a command whose output goes to a file."""
     with log.open("w", encoding="utf-8") as output:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=environment)
+        RUNNING.add(process)
         try:
             return process.wait()
         finally:
             if process.poll() is None:
                 process.kill()
                 process.wait()
+            RUNNING.discard(process)
 
 
 def _last_line(log: Path) -> str:

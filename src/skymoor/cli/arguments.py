@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from skymoor.cli.short import Out, Quiet, Verbose
 from skymoor.simulate.options import SiteOptions
 
 
@@ -33,7 +34,7 @@ class Run:
 
     site: Annotated[Path | None, tyro.conf.Positional] = None
     """site.toml, or its folder; or give --airborne or --ground, --ortho and, where there is one, --dsm."""
-    out: Path
+    out: Out
     """Folder for the results; the same command again continues where it stopped."""
     airborne: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
     """Folder of airborne photos, with its sub-folders, or a video; may be repeated: all are one set."""
@@ -84,8 +85,10 @@ class Run:
     """Exit with 3 also where a component is registered but its heights are not confirmed."""
     seed: int = 0
     """Makes a run repeatable."""
-    quiet: bool = False
+    quiet: Quiet = False
     """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""
     dry_run: bool = False
     """Check all input and print the steps with estimates of time and memory; write nothing."""
     json: bool = False
@@ -113,14 +116,16 @@ class Reference:
     """Source of the orthophoto."""
     dsm: str | None = None
     """Source of the DSM, which is cut as the orthophoto is; without it heights stay unknown."""
-    out: Path
+    out: Out
     """Folder for ortho.tif, dsm.tif and reference.toml."""
     pixel: float | None = None
     """Metres: an overview of the orthophoto whose pixel is not larger is enough; level of a tile service (0.6)."""
     date: str | None = None
     """Of STAC items, such as 2022 or 2021-04-01/2022-10-31; the newest counts."""
-    quiet: bool = False
+    quiet: Quiet = False
     """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +144,7 @@ class Batch:
 
     sites: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """site.toml files, folders that have one, or folders of such folders."""
-    out: Path
+    out: Out
     """Folder for the results: one folder for each site, batch.json and batch.html."""
     workers: int = 1
     """Sites at a time on this machine."""
@@ -153,8 +158,10 @@ class Batch:
     """An option of all sites by its dotted name; may be repeated."""
     seed: int = 0
     """Makes runs repeatable."""
-    quiet: bool = False
+    quiet: Quiet = False
     """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""
     json: bool = False
     """For scripts: the outcomes as JSON on stdout, all else on stderr."""
 
@@ -168,8 +175,10 @@ class Index:
 
     reference: Annotated[Path, tyro.conf.Positional]
     """The orthophoto, or a site.toml that names it."""
-    quiet: bool = False
+    quiet: Quiet = False
     """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""
 
 
 @dataclass(frozen=True)
@@ -196,10 +205,12 @@ class Export:
     to: Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
     """Formats, separated by commas: colmap, nerfstudio, laz, copc, cog, geojson, gpkg, geoparquet, kml, ply,
     gltf, 3dtiles, stac, odm, tum, metashape, realityscan, opf, splat-training, exif, or all."""
-    out: Path
+    out: Out
     """Folder for the exports; each format gets a folder of its own in it."""
-    quiet: bool = False
+    quiet: Quiet = False
     """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""
 
 
 @dataclass(frozen=True)
@@ -242,18 +253,22 @@ class Simulate:
     For example: skymoor simulate --preset industrial --seed 7 --out site
     """
 
-    out: Path
+    out: Out
     """Folder for the site; the same command again continues where it stopped."""
     options: tyro.conf.OmitArgPrefixes[SiteOptions] = field(default_factory=SiteOptions)
-    quiet: bool = False
+    quiet: Quiet = False
     """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Demo:
     """Simulate a small site, register its photos, and compare with the truth."""
 
-    out: Path = Path("skymoor-demo")
+    out: Out = Path("skymoor-demo")
     """Folder for the site and the results; a second run reuses them."""
-    quiet: bool = False
+    quiet: Quiet = False
     """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""

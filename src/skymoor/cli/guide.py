@@ -56,7 +56,7 @@ def ask(command: Ask) -> bool | None:
     questions = questions_of(result)
     if command.component is not None:
         questions = [question_about(command.component, questions)]
-    with Screen(plain=command.quiet, for_scripts=command.json) as screen:
+    with Screen(plain=command.quiet, for_scripts=command.json, verbose=command.verbose) as screen:
         statement = _stated(command)
         if statement.stated:
             person = person_of(result, questions[0], statement)
@@ -76,6 +76,7 @@ def ask(command: Ask) -> bool | None:
             seed=int(result.summary["seed"]),
             progress=screen.progress,
             note=screen.note,
+            planned=screen.begin,
         )
         show_result(screen, again)
     return again.registered

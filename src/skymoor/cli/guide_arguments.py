@@ -9,6 +9,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from skymoor.cli.short import Out, Quiet, Verbose
+
 
 @dataclass(frozen=True, kw_only=True)
 class Init:
@@ -35,7 +37,7 @@ class Init:
     """Linear (vertical) error of the reference, 90 percent, metres."""
     accuracy: Literal["unknown"] | None = None
     """unknown in place of --ce90 and --le90."""
-    out: Path = Path("site.toml")
+    out: Out = Path("site.toml")
     """The file, or its folder."""
 
 
@@ -81,7 +83,9 @@ class Ask:
     """Port of the page on this machine; any free one by default."""
     open: bool = True
     """Open the browser; --no-open only prints the address."""
-    quiet: bool = False
+    quiet: Quiet = False
     """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""
     json: bool = False
     """For scripts: the result as JSON on stdout, all else on stderr."""

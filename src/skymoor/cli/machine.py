@@ -21,7 +21,7 @@ def weights(command: Weights) -> None:
             screen.answer({"folder": folder, "weights": KNOWN})
         return
     wanted = command.action
-    with Screen(plain=wanted.quiet) as screen:
+    with Screen(plain=wanted.quiet, verbose=wanted.verbose) as screen:
         for file in fetch(wanted.name, wanted.to or weights_folder(), lambda name: screen.track(f"{name}, MB")):
             digest = "" if file.sha256 is None else f", sha256 {file.sha256}"
             screen.note(f"{file.path}: {'was here' if file.was_there else 'fetched'}{digest}")
@@ -40,7 +40,7 @@ def grids(command: Grids) -> None:
             screen.show(grids_table(known, user_folder()))
             screen.answer({"folder": user_folder(), "datums": known})
         return
-    with Screen(plain=command.action.quiet) as screen:
+    with Screen(plain=command.action.quiet, verbose=command.action.verbose) as screen:
         file = fetch_grid(command.action.name, lambda name: screen.track(f"{name}, MB"))
         digest = "" if file.sha256 is None else f", sha256 {file.sha256}"
         screen.note(f"{file.path}: {'was here' if file.was_there else 'fetched'}{digest}")

@@ -9,6 +9,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from skymoor.cli.short import Out, Quiet, Verbose
+
 
 @dataclass(frozen=True)
 class Schema:
@@ -22,7 +24,7 @@ class Schema:
 class Doctor:
     """Check whether this machine has what runs need: versions, GPU, memory, disk, weights."""
 
-    out: Path = Path()
+    out: Out = Path()
     """Folder where results will be written."""
     json: bool = False
     """For scripts: as JSON on stdout."""
@@ -55,8 +57,10 @@ class GridsFetch:
 
     name: Annotated[str, tyro.conf.Positional]
     """File of the grid, or EPSG code of a datum that has one grid."""
-    quiet: bool = False
+    quiet: Quiet = False
     """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +92,10 @@ class WeightsFetch:
     """As in the list."""
     to: Path | None = None
     """Folder of all weights; $SKYMOOR_WEIGHTS or the user's data folder by default."""
-    quiet: bool = False
+    quiet: Quiet = False
     """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import errno
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import reduce
 from operator import or_
 from typing import Annotated, Any
@@ -28,10 +29,12 @@ from skymoor.cli.arguments import (
     View,
 )
 from skymoor.cli.guide_arguments import Ask, Init
+from skymoor.cli.interrupt import GRACE_S, STOPPED, STOPPING, Stopped, interruptible
 from skymoor.cli.machine_arguments import Completion, Doctor, Grids, Help, Schema, Version, Weights
 from skymoor.cli.register_arguments import Register
 from skymoor.cli.usage import parsed
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
+from skymoor.pipeline.log import quiet_libraries
 from skymoor.pipeline.option_parser import nearest
 
 # Errors of disks and paths, which the user can fix; all others are errors of this program.
@@ -72,6 +75,9 @@ Begin with: skymoor demo; then, with your own photos, skymoor init PHOTOS --orth
 site.toml, and skymoor run site.toml --out result. Each command explains itself: skymoor help run."""
 EXIT_REGISTERED, EXIT_ERROR, EXIT_USAGE, EXIT_NOT_REGISTERED = 0, 1, 2, 3
 EXIT_BROKEN_PIPE, EXIT_INTERRUPTED = 141, 130  # as a shell reports the signals
+TOLD = {View: "", Ask: ""}  # those who wait for a person just end
+WITH_COLMAP = (Ask, Demo, Export, Register, Report, Run, View)
+PASSED_ON_S = 1.5  # more patience, with the processes that have to end before
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -104,9 +110,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"{error.filename or 'a file'}: {error.strerror}; once that is fixed, the same command continues from here"
         )
         return EXIT_USAGE
-    except KeyboardInterrupt:
-        print("skymoor: stopped; the same command continues from here", file=sys.stderr)
-        return EXIT_INTERRUPTED
+    except KeyboardInterrupt as stop:
+        with suppress(OSError):  # the terminal may be gone
+            print(STOPPED, file=sys.stderr)
+        return stop.status if isinstance(stop, Stopped) else EXIT_INTERRUPTED
 
 
 def _parse(arguments: list[str]) -> Any:
@@ -150,7 +157,12 @@ def _done(chosen: Any) -> int:
         View: commands.view,
         Weights: machine.weights,
     }
-    done = actions[type(chosen)](chosen)
+    action = actions[type(chosen)]
+    if isinstance(chosen, WITH_COLMAP):
+        import pycolmap  # noqa: F401 - before signals are listened to, since it takes SIGTERM for itself
+    told, grace_s = TOLD.get(type(chosen), STOPPING), GRACE_S + (PASSED_ON_S if isinstance(chosen, Batch) else 0.0)
+    with quiet_libraries():
+        done = interruptible(lambda: action(chosen), told=told, grace_s=grace_s)
     if done is False:
         return EXIT_ERROR if isinstance(chosen, Doctor) else EXIT_NOT_REGISTERED
     return EXIT_REGISTERED if done is None or done is True else done

@@ -9,6 +9,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from skymoor.cli.short import Out, Quiet, Verbose
+
 
 @dataclass(frozen=True, kw_only=True)
 class Register:
@@ -28,7 +30,7 @@ class Register:
     model: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """A project's folder (COLMAP, ODM, OpenSfM, nerfstudio), or files that share one coordinate system: an orthophoto
     and its DSM, a cloud, a mesh, a splat, cameras."""
-    out: Path
+    out: Out
     """Folder for the results; the same command again continues where it stopped."""
     photos: Path | None = None
     """Folder of the photos that the model was made from, where they are not beside it."""
@@ -69,7 +71,9 @@ class Register:
     """Exit with 3 also where the model is registered but its heights are not confirmed."""
     seed: int = 0
     """Makes a run repeatable."""
-    quiet: bool = False
+    quiet: Quiet = False
     """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""
     json: bool = False
     """For scripts: the result as JSON on stdout, all else on stderr."""

@@ -13,6 +13,7 @@ from skymoor.errors import InputError
 from skymoor.pipeline.option_parser import close_to
 
 FLAG = re.compile(r"(?<![\w-])--[a-z0-9][a-z0-9-]*")
+RUN_TOGETHER = re.compile(r"-[a-z][a-z-]+")  # a long option after one dash, or short ones without a space
 SIDES, RULES = " ╭╮╰╯│+|", "─-"  # of the box, which is of ASCII where the terminal is
 ENDS = ("Argument helptext", "For full helptext", "Perhaps you meant")
 KINDS = {"INT": "a whole number", "FLOAT": "a number", "PATH": "a path"}
@@ -25,8 +26,9 @@ def parsed(parse: Callable[[list[str]], Any], arguments: Sequence[str]) -> Any:
     """
     printed = io.StringIO()
     try:
-        with redirect_stderr(printed):
-            return parse(list(arguments))
+        if not any(map(RUN_TOGETHER.fullmatch, arguments)):  # it would be taken for -o and its value
+            with redirect_stderr(printed):
+                return parse(list(arguments))
     except SystemExit as ended:
         if not ended.code:  # help, and completions
             raise
@@ -40,7 +42,7 @@ def _line(parse: Callable[[list[str]], Any], arguments: Sequence[str], box: str)
     known = dict.fromkeys(FLAG.findall(help_text))
     for word in arguments:
         flag = word.partition("=")[0].replace("_", "-")
-        short = re.fullmatch(r"-[a-z][a-z-]+", flag) is not None
+        short = RUN_TOGETHER.fullmatch(flag) is not None
         flag = f"-{flag}" if short else flag
         if FLAG.fullmatch(flag) and (short or flag not in known):
             meant = close_to(flag, [one for one in known if one.startswith("--no-") == flag.startswith("--no-")])
@@ -55,6 +57,7 @@ def _told(box: str) -> str:
     title, *texts = [line for line in lines if line.strip(RULES)] or ["wrong usage"]
     title = title.strip(f"{RULES} ")
     if "Required" in title:
+        texts = [re.sub(r"^-\w \S+, (?=--)", "", line) for line in texts]  # the short form of an option
         missing = [line.removesuffix(" (required)") for line in texts if re.match(r"--|[A-Z]+\b(?! *[a-z])", line)]
         missing = [line.replace("STR", "a name") for line in missing] or ["an argument"]
         return f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"

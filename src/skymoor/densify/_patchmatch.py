@@ -11,7 +11,6 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -23,6 +22,7 @@ from skymoor.densify.protocol import DepthEstimator
 from skymoor.densify.views import reduced, undistorted
 from skymoor.engines.colmap import colmap_from_component
 from skymoor.engines.options import FIXED
+from skymoor.engines.temporary import temporary_folder
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.types import Array32, Camera, Component, DepthMap, Image, Photos, Progress, no_progress
 
@@ -70,8 +70,7 @@ class PatchMatchDepth:
             component, count=self.partners, best_angle_deg=self.best_angle_deg, max_angle_deg=self.max_angle_deg
         )
         progress(0, len(component.cameras))
-        with TemporaryDirectory(prefix="skymoor-") as temporary:
-            folder = Path(temporary)
+        with temporary_folder() as folder:
             views = [self._view(camera, photos) for camera in component.cameras]
             write_workspace(folder, component, views, partners)
             engine(folder, lambda done: progress(min(done, len(views)), len(views) + 1))

@@ -14,9 +14,11 @@ from skymoor.errors import DegenerateGeometry
 from skymoor.geometry import Intrinsics, Similarity
 from skymoor.types import Array, Camera, Component, Image
 
-# COLMAP reports every step on stderr; what a person needs to know comes from skymoor itself.
-pycolmap.logging.minloglevel = int(pycolmap.logging.Level.ERROR)
+# COLMAP reports every step on stderr; what a person needs to know comes from skymoor itself, errors as exceptions.
+pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)
 
+STOP = pycolmap.CancellationToken()
+"""Ends COLMAP's long calls, in which Python's signals wait; the command line cancels it when the process is to end."""
 
 BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 """COLMAP's camera models that `Intrinsics` states; fisheye and division models have parameters of the same names."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import hashlib
 import http.client
-import shutil
-import tempfile
 import urllib.error
 import urllib.request
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from skymoor.engines.temporary import temporary_folder
 from skymoor.errors import InputError
 
 FileProgress = Callable[[int, int], object]
@@ -47,8 +46,7 @@ def download(
     to do where the network is of no use.
     Raises `InputError` when it cannot be fetched, breaks off, or is not the expected one; nothing is kept then.
     """
-    temporary = Path(tempfile.mkdtemp(prefix=PREFIX, dir=path.parent))
-    try:
+    with temporary_folder(path.parent, PREFIX) as temporary:
         part = temporary / path.name
         _download(url, part, size_mb, progress, by_hand or f"put it by hand at {path}")
         with part.open("rb") as file:
@@ -58,8 +56,6 @@ def download(
                 f"{url}: not the file that skymoor knows (sha256 {found}, expected {sha256}); nothing is kept"
             )
         part.replace(path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _download(url: str, part: Path, size_mb: float | None, progress: FileProgress, by_hand: str) -> None:

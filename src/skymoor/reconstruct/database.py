@@ -13,6 +13,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from skymoor.engines.colmap import STOP
 from skymoor.reconstruct.pairs import exhaustive_pairs, preemptive_pairs
 from skymoor.reconstruct.protocol import colmap_name
 from skymoor.types import Array, Array32, Image, Photos
@@ -72,7 +73,7 @@ def extract(
     for size in sorted(set(photos.sizes)):
         names = [colmap_name(i, s) for i, s in enumerate(photos.sizes) if s == size]
         for block in blocks(names, 16):
-            pycolmap.extract_features(database, folder, block, mode, reader, options, device)
+            pycolmap.extract_features(database, folder, block, mode, reader, options, device, STOP)
             done += len(block)
             report(done)
 
@@ -102,6 +103,7 @@ def match(
             pairing_options=pycolmap.ImportedPairingOptions(match_list_path=str(list_file)),
             verification_options=verification,
             device=pycolmap.Device.auto if options.use_gpu else pycolmap.Device.cpu,
+            cancellation_token=STOP,
         )
         done += len(block)
         report(done)
@@ -145,7 +147,7 @@ def write_verified(
     verification.ransac.max_error = max(verification.ransac.max_error, 2 * pixel_px)
     if pairs:
         (folder / "pairs.txt").write_text("".join(pairs))
-        pycolmap.verify_matches(database, folder / "pairs.txt", verification)
+        pycolmap.verify_matches(database, folder / "pairs.txt", verification, cancellation_token=STOP)
 
 
 def coarsest_px(photos: Photos, side_px: int) -> float:

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shutil import disk_usage
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pycolmap
 
-from skymoor.engines.colmap import component_from_colmap, mean_colours
+from skymoor.engines.colmap import STOP, component_from_colmap, mean_colours
 from skymoor.engines.options import files_of
+from skymoor.engines.temporary import temporary_folder
 from skymoor.errors import InputError
 from skymoor.reconstruct._sift import SiftMatcher
 from skymoor.reconstruct.calibration import adjust, calibrate, widened
@@ -110,12 +110,12 @@ def _temporary_folder() -> Iterator[Path]:
     """A folder for COLMAP's files: grey copies of all photos, and the database."""
     remedy = "make room there for temporary files, or set TMPDIR to another folder"
     try:
-        with TemporaryDirectory(prefix="skymoor-") as name:
+        with temporary_folder() as folder:
             try:
-                yield Path(name)
+                yield folder
             except RuntimeError as error:  # COLMAP has no error for a full disk, and not always SQLite's
-                if "disk is full" in str(error) or disk_usage(name).free < 1 << 20:
-                    raise InputError(f"{Path(name).parent}: no space left on device; {remedy}") from error
+                if "disk is full" in str(error) or disk_usage(folder).free < 1 << 20:
+                    raise InputError(f"{folder.parent}: no space left on device; {remedy}") from error
                 raise
     except OSError as error:
         raise InputError(f"{error.filename or 'temporary files'}: {error.strerror or error}; {remedy}") from error
@@ -183,7 +183,9 @@ def _reliable(models: list[pycolmap.Reconstruction], options: ReconstructOptions
 def _map(
     database: Path, folder: Path, options: pycolmap.IncrementalPipelineOptions, report: Callable[[], None]
 ) -> list[pycolmap.Reconstruction]:
-    models = pycolmap.incremental_mapping(database, folder, folder, options, next_image_callback=report)
+    models = pycolmap.incremental_mapping(
+        database, folder, folder, options, next_image_callback=report, cancellation_token=STOP
+    )
     possible = [without_impossible(model) for model in models.values()]
     return _distinct([model for model in possible if model.num_reg_images() >= options.min_model_size])
 

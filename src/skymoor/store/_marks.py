@@ -18,6 +18,7 @@ PRODUCTS = (
         "summary.json",
         "cameras.csv",
         "cameras.geojson",
+        "statistics.json",
         "control.csv",
         "colmap",
         "pointcloud.laz",

@@ -131,7 +131,12 @@ class Store:
         """
         given = [*inputs, *(value for key, value in options.items() if key not in UNCOUNTED)]
         key = self._key(function, given, sorted(options), depends_on)
-        return self._kept(name, key, lambda: function(*inputs, **options))
+
+        def compute() -> T:
+            options.get("progress", no_progress)(0, 1)  # it begins; how much there is to do, the function knows
+            return function(*inputs, **options)
+
+        return self._kept(name, key, compute)
 
     def photos(
         self, name: str, found: FoundFiles, video: VideoOptions | None = None, progress: Progress = no_progress

@@ -74,7 +74,8 @@ def test_a_port_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.skipif(find_spec("viser") is None, reason="viser is not installed: pip install skymoor[view]")
-def test_the_viewer_answers_until_it_is_interrupted(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_viewer_answers_until_it_is_interrupted(tmp_path: Path, number: int) -> None:
     run = finished_run(tmp_path)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -83,13 +84,15 @@ def test_the_viewer_answers_until_it_is_interrupted(tmp_path: Path) -> None:
     # A background job's children are born deaf to Ctrl+C.
     listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
     code = listen + f"from skymoor.cli.main import main; main(['view', {str(run)!r}, '--port', '{port}', '--no-open'])"
-    with subprocess.Popen([sys.executable, "-u", "-c", code], stdout=subprocess.PIPE, text=True) as viewer:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with subprocess.Popen([sys.executable, "-u", "-c", code], **pipes, text=True) as viewer:
         try:
             assert viewer.stdout is not None
             assert f"http://127.0.0.1:{port}: the viewer" in viewer.stdout.readline()
             with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=120) as answer:
                 assert b"<html" in answer.read().lower()
-            viewer.send_signal(signal.SIGINT)
+            viewer.send_signal(number)
+            assert viewer.stdout.read() == "stopped\n"  # of COLMAP's stack trace, nothing
             assert viewer.wait(120) == 0
         finally:
             viewer.kill()

@@ -1,22 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What there is to see of a run: arrays in metres east, north and up, which know no viewer."""
+"""What there is to see of a run: arrays in metres east, north and up, which know no viewer.
+
+What reads clouds and references is imported when they are: it takes seconds, and the viewer is there before.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from math import atan
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pycolmap
 from numpy.typing import NDArray
 
 from skymoor.errors import InputError
 from skymoor.geo import Grid
-from skymoor.results.formats import read_pointcloud
-from skymoor.results.mosaic import mosaic_of
 from skymoor.results.read import ComponentSummary, Result
 from skymoor.results.tables import CameraRow
 from skymoor.types import Array, Array32, Image
+
+if TYPE_CHECKING:
+    import pycolmap
 
 MAX_POINTS = 400_000
 MAX_VERTICES = 160_000
@@ -53,36 +59,67 @@ class Scene:
     notes: tuple[str, ...]
 
 
+Part = Layer | dict[str, tuple[Frustum, ...]] | str
+"""Of a scene: a layer, the cameras of a component, or a line about what is missing and why."""
+
+
 def scene_of(result: Result) -> Scene:
     """Everything of a run that can be seen. Raises `InputError` where nothing of it is on Earth."""
+    parts = list(parts_of(result))
+    cameras: dict[str, tuple[Frustum, ...]] = {}
+    for part in parts:
+        cameras |= part if isinstance(part, dict) else {}
+    layers = tuple(part for part in parts if isinstance(part, Layer))
+    return Scene(layers, cameras, tuple(part for part in parts if isinstance(part, str)))
+
+
+def parts_of(result: Result) -> Iterator[Part]:
+    """The same one by one, what takes long to load last. Raises `InputError` at the end where there was nothing."""
+    empty = True
+    for part in chain(_components(result), _cloud(result), _surfaces(result)):
+        seen = any(part.values()) if isinstance(part, dict) else isinstance(part, Layer)
+        empty = empty and not seen
+        yield part
+    if empty:
+        raise InputError(
+            f"{result.folder}: nothing of this run is registered, so there is nothing to show; read report.html"
+        )
+
+
+def _components(result: Result) -> Iterator[Part]:
+    for one in (component for component in result.components if component.registered):
+        model = _model(result, one)
+        frustums = _frustums(result, one, model)
+        yield {one.name: frustums}
+        if frustums:
+            yield from _without_photos(result, frustums[0])
+        if model is not None:
+            yield _sparse(one, model)
+
+
+def _cloud(result: Result) -> Iterator[Part]:
+    from skymoor.results.formats import read_pointcloud
+
+    cloud = result.folder / "pointcloud.laz"
+    if cloud.is_file():
+        try:
+            yield Layer("point cloud", *read_pointcloud(cloud, result.frame, MAX_POINTS))
+        except InputError as error:
+            yield str(error)
+
+
+def _surfaces(result: Result) -> Iterator[Part]:
+    from skymoor.results.mosaic import mosaic_of
+
     mosaic = mosaic_of(result, MAX_VERTICES)
-    notes = [mosaic.note] if mosaic.note else []
-    layers = []
+    if mosaic.note:
+        yield mosaic.note
     for name, rgb, height in (
         ("satellite", mosaic.satellite, mosaic.satellite_height),
         ("model surface", mosaic.model, mosaic.model_height),
     ):
         if mosaic.grid is not None and rgb is not None and height is not None and np.isfinite(height).any():
-            layers.append(draped(name, mosaic.grid, rgb, height))
-    cloud = result.folder / "pointcloud.laz"
-    if cloud.is_file():
-        try:
-            layers.append(Layer("point cloud", *read_pointcloud(cloud, result.frame, MAX_POINTS)))
-        except InputError as error:
-            notes.append(str(error))
-    cameras = {}
-    for one in (component for component in result.components if component.registered):
-        model = _model(result, one)
-        if model is not None:
-            layers.append(_sparse(one, model))
-        cameras[one.name] = _frustums(result, one, model)
-        if cameras[one.name]:
-            notes += _without_photos(result, cameras[one.name][0])
-    if not layers and not any(cameras.values()):
-        raise InputError(
-            f"{result.folder}: nothing of this run is registered, so there is nothing to show; read report.html"
-        )
-    return Scene(tuple(layers), cameras, tuple(notes))
+            yield draped(name, mosaic.grid, rgb, height)
 
 
 def draped(name: str, grid: Grid, rgb: Image, height: Array32) -> Layer:
