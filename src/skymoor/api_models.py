@@ -24,11 +24,10 @@ from skymoor.pipeline.site import Site
 from skymoor.pipeline.site_control import control_with_arguments
 from skymoor.results.placed import place_model
 from skymoor.results.read import Result
+from skymoor.results.request import GIVEN
 from skymoor.results.write import SetResult
 from skymoor.store import Store
 from skymoor.types import Image, Photos
-
-SET = "model"
 
 
 def register_model(
@@ -105,10 +104,25 @@ def register_model(
     ).bounded(SearchPrior.of(area, near))
     stated = (paths_of(control), control_ce90, control_le90, control_datum)
     site = replace(site, control=control_with_arguments(None, *stated, use=use_control))
-    chosen = with_options(Options(), options or {})
+    site = replace(site, photos=None if photos is None else Path(photos))
+    return register_again(site, out=out, options=options, seed=seed, progress=progress, note=note)
+
+
+def register_again(
+    site: Site,
+    *,
+    out: Where,
+    options: Mapping[str, object] | None = None,
+    seed: int = 0,
+    progress: StageProgress = ignore,
+    note: Callable[[str], None] = ignore,
+) -> Result:
+    """`register_model` of a site whose airborne paths are the model's, as `site_of_run` reads it from a summary."""
+    paths = site.airborne
+    chosen = with_options(Options(), {**site.options, **site.bounds.options(), **(options or {})})
     weights = check_engines(chosen, ground=False)
     require_run(site, Path(out), seed)
-    given = read_model(paths, None if photos is None else Path(photos))
+    given = read_model(paths, site.photos)
     site = replace(site, name=given.name)
     with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
         for text in given.notes:
@@ -122,7 +136,7 @@ def register_model(
         moved = place_model(given, found, job.reference, store, job.track("moved files"))
         for text in moved:
             note(text)
-        result = SetResult(SET, paths, job.photos.names, [found], (*given.notes, *moved))
+        result = SetResult(GIVEN, paths, job.photos.names, [found], (*given.notes, *moved))
         return finished([result], site, [job], weights, Path(out))
 
 
@@ -138,7 +152,7 @@ def _job(
     track = partial(track_stage, progress)
     reference, features = reference_of(site, store, track, note)
     photos = given.photos or Photos(_images(given), (), _none, [(part.kind, part.path.name) for part in given.parts])
-    return Job(photos, reference, options, store, seed, track, SET, site.reference.rasters, features=features)
+    return Job(photos, reference, options, store, seed, track, GIVEN, site.reference.rasters, features=features)
 
 
 def _images(given: GivenModel) -> tuple[str, ...]:

@@ -72,7 +72,7 @@ def test_what_cannot_be_a_reference(run: Path, tmp_path: Path) -> None:
 
 def test_a_run_of_a_former_version(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="does not say how accurate its surface is; give the command of that run aga"):
-        earlier_run(finished_run(tmp_path))
+        earlier_run(finished_run(tmp_path, former=True))
 
 
 def test_a_site_on_an_earlier_run(run: Path, tmp_path: Path) -> None:

@@ -87,7 +87,6 @@ def test_addresses_are_kept_without_keys(ended: Path, tmp_path: Path) -> None:
         (lambda one: one["request"].pop("root"), "damaged or of another version"),
         (lambda one: one["request"].update(prior=3), "damaged or of another version"),
         (lambda one: one["sets"][0].pop("sources"), "damaged or of another version"),
-        (lambda one: one["sets"][0].update(set="model"), "is of a model and not of photos"),
     ],
 )
 def test_what_is_not_enough_is_one_line(
@@ -108,6 +107,15 @@ def test_a_run_without_components_has_nothing_to_ask(ended: Path, capsys: pytest
     assert main(["ask", str(ended), "--height", "40"]) == 2
     assert "summary.json" in capsys.readouterr().err
     assert content(ended / "out") == before
+
+
+def test_a_given_model_is_asked_for_again(ended: Path, tmp_path: Path) -> None:
+    def model(one: dict[str, Any]) -> None:
+        one["sets"] = [one["sets"][0] | {"set": "model"}]
+        one["request"]["photos"] = str(tmp_path)
+
+    site = site_of_run(changed(ended, tmp_path, model))
+    assert site.airborne and not site.ground and site.photos == tmp_path
 
 
 def _nothing() -> Result:

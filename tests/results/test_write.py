@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,13 @@ from skymoor.geo.accuracy import LE90_PER_SIGMA
 from skymoor.geometry import Similarity
 from skymoor.ground.walls import GroundPoseCheck
 from skymoor.pipeline.job import ComponentResult
+from skymoor.pipeline.options import Options
+from skymoor.pipeline.reference_files import ReferenceFiles
+from skymoor.pipeline.site import Site
 from skymoor.results.accuracy import accuracy_of, figures_of
-from skymoor.results.write import SetResult, camera_rows
+from skymoor.results.read import Result
+from skymoor.results.write import SetResult, camera_rows, write_products
+from skymoor.store import PRODUCTS, Store
 from skymoor.types import Calibration, Reference, Registration
 from support.blocks import block
 
@@ -58,6 +64,27 @@ def test_a_ground_camera_is_as_unsure_as_all_that_it_stands_on(ground: Component
     # The same without the reference's error.
     assert np.median(both[:, 2] / alone[:, 2]) == pytest.approx(np.sqrt(0.5 / 0.2), rel=0.02)
     assert np.median(both[:, 3]) == pytest.approx(1.6449 * np.sqrt(0.5), rel=0.05)
+
+
+def test_the_summary_holds_what_the_report_says(ground: ComponentResult, tmp_path: Path) -> None:
+    item = replace(ground, base=None)
+    images = [camera.image for camera in item.component.cameras]
+    site = Site("s", tmp_path, ReferenceFiles(tmp_path / "ortho.tif", 3.0, "EPSG:3855", COVARIANCE), (tmp_path,), ())
+    with Store.open(tmp_path / "out") as store:
+        write_products([SetResult("airborne", (tmp_path,), images, [item])], site, REFERENCE, Options(), 0, {}, store)
+    result = Result.read(tmp_path / "out")
+    assert datetime.fromisoformat(result.summary["date"]).tzinfo is not None
+    assert result.summary["coordinate_systems"]["reference_heights"]["epsg"] == 3855
+    figures, details = result.components[0].summary["statistics"], result.statistics["airborne_0"]
+    assert [row["image"] for row in details["photos"]] == images
+    assert sum(row["n_points"] for row in details["photos"]) == figures["n_observations"] == len(item.component.obs_px)
+    assert figures["lenses"][0]["sigma"]["k1"] > 0 and len(details["residuals"]) == 1
+    for row, camera in zip(details["photos"], result.cameras, strict=True):
+        major, minor, _ = row["ellipse_90"]
+        assert camera.ce90 is not None and 0.75 * major < camera.ce90 <= 1.01 * major and 0 < minor <= major
+    written = [path.name for path in (tmp_path / "out").iterdir()]
+    assert not set(written) - set(PRODUCTS) - {".lock"}  # what is not known as a product would not be protected
+    assert (tmp_path / "out" / "summary.json").stat().st_size < 40_000
 
 
 def test_a_camera_that_contradicts_gets_no_place(ground: ComponentResult) -> None:

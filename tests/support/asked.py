@@ -24,7 +24,8 @@ def refused_run(folder: Path, *, registered_beside: bool = False) -> Path:
     summary = json.loads((run / "summary.json").read_text())
     component = summary["sets"][0]["components"][0]
     other = {"east": -10.0, "north": 12.0, "lat": 48.0001, "lon": 10.9999, "azimuth_deg": 60.0, "score": 85.0}
-    component["hypotheses"].append(component["hypotheses"][0] | other)
+    first = component["hypotheses"][0]
+    component["hypotheses"] = [first, first | other]
     component["first_photo"] = {"image": FIRST[0], "azimuth_deg": FIRST[1]}
     if registered_beside:
         beside = component | {"component": 1, "status": "REGISTERED", "reason": ""}

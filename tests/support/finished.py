@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +14,27 @@ import numpy as np
 
 from skymoor.geo import EnuFrame, Grid
 from skymoor.geometry import Similarity
+from skymoor.pipeline.job import ComponentResult
 from skymoor.reference.read import read_reference
 from skymoor.registration.criteria import criterion
 from skymoor.results.formats import cameras_table, georeference, geotiffs, pointcloud_las
+from skymoor.results.statistics import component_details, component_statistics, ellipses_of
+from skymoor.results.survey import ELLIPSOIDAL
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow
+from skymoor.store import plain
+from skymoor.types import Registration
+from support.blocks import block
 
 HOSTILE = '<script>alert(1)</script> & Überführung "7" 駅'
 CRS = "EPSG:32632"
 COMPETING = "a competing hypothesis scores 85, the best 90; at least 110.5 is required"
 
 
-def finished_run(folder: Path, *, cameras: int = 9, registered: bool = True) -> Path:
-    """Write a run of an airborne set, a ground set with two components and one that was lost; returns its folder."""
+def finished_run(folder: Path, *, cameras: int = 9, registered: bool = True, former: bool = False) -> Path:
+    """Write a run of an airborne set, a ground set with two components and one that was lost; returns its folder.
+
+    A `former` one is of a version that did not record the figures of the survey.
+    """
     run = folder / "run"
     for name in ("matches", "renders"):
         (run / name).mkdir(parents=True)
@@ -49,8 +58,36 @@ def finished_run(folder: Path, *, cameras: int = 9, registered: bool = True) -> 
         writer.writeheader()
         writer.writerows(cameras_table(rows))
     summary = summary_of_run(folder, reference.frame, cameras, registered=registered)
+    if not former:
+        _record_survey(run, summary, registered=registered)
     (run / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     return run
+
+
+def _record_survey(run: Path, summary: dict[str, Any], *, registered: bool) -> None:
+    """What a run records of its reconstruction, here of nine nadir photos."""
+    whole = block("nadir", relief_m=4.0, n=300)
+    seen = whole.of_cameras(np.arange(len(whole.cameras)) < 9)
+    renamed = tuple(replace(one, image=f"air/{k:03d}.jpg") for k, one in enumerate(seen.cameras))
+    placed = Registration(registered, "", Similarity.identity() if registered else None)
+    item = ComponentResult("airborne-0", replace(seen, cameras=renamed), Similarity.identity(), placed)
+    images = [camera.image for camera in renamed]
+    total, relative = np.diag([0.9, 0.4, 1.0]), np.diag([0.01, 0.02, 0.05])
+    ellipses = ellipses_of(images, *(np.tile(one, (len(images), 1, 1)) for one in (total, relative)))
+    details = {"airborne_0": component_details(item, ellipses if registered else {})}
+    (run / "statistics.json").write_text(json.dumps(plain(details)), encoding="utf-8")
+    air = summary["sets"][0]["components"][0]
+    (first,) = air["hypotheses"]
+    second = {"score": 65.0, "east": 31.0, "north": -38.0, "azimuth_deg": 187.0}
+    air["hypotheses"] = [first | {"distance_m": 0.0}, first | second | {"distance_m": 50.0}]
+    air["statistics"] = plain(component_statistics(item))
+    covariances = {"covariance_m2": np.diag([0.8, 0.8, 4.5]), "relative_covariance_m2": np.diag([0.002, 0.002, 0.06])}
+    figures = {"ce90_m": 1.9, "le90_m": 3.5, "relative_ce90_m": 0.1, "relative_le90_m": 0.4}
+    air["surface_accuracy"] = plain(covariances | figures)
+    systems = {"crs": {"name": "WGS 84 / UTM zone 32N", "epsg": 32632}, "heights": ELLIPSOIDAL}
+    summary["coordinate_systems"] = systems | {"reference_heights": {"name": "EGM2008 height", "epsg": 3855}}
+    summary |= {"date": "2026-11-02T10:20:30+00:00", "seconds": 75.0}
+    summary["search"] = {"bounds_m": [-40.0, -40.0, 40.0, 40.0], "area_m2": 6400.0, "limited": False}
 
 
 def _write_model(run: Path, rgb: Any, model: Any, grid: Grid, frame: EnuFrame) -> None:

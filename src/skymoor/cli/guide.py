@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from skymoor.cli.guide_arguments import Ask, Init
 from skymoor.cli.progress import Screen
@@ -43,12 +43,13 @@ def init(command: Init) -> None:
 def ask(command: Ask) -> bool | None:
     """`skymoor ask`; returns whether everything is registered now, None where nothing was run."""
     from skymoor import api
+    from skymoor.api_models import register_again
     from skymoor.cli.outcome import show_result
     from skymoor.results.ask.answer import ANSWERS, person_of, record_answer
     from skymoor.results.ask.question import question_about, questions_of
     from skymoor.results.ask.server import ask_in_browser
     from skymoor.results.read import Result
-    from skymoor.results.request import site_of_run
+    from skymoor.results.request import GIVEN, site_of_run
     from skymoor.store import Store
 
     result = Result.read(command.folder)
@@ -70,14 +71,12 @@ def ask(command: Ask) -> bool | None:
         if site is None:
             screen.answer({"answer": person.record})
             return None
-        again = api.register(
-            replace(site, person=person),
-            out=command.folder,
-            seed=int(result.summary["seed"]),
-            progress=screen.progress,
-            note=screen.note,
-            planned=screen.begin,
-        )
+        seed, helped = int(result.summary["seed"]), replace(site, person=person)
+        told: dict[str, Any] = {"progress": screen.progress, "note": screen.note}
+        if result.components[0].image_set == GIVEN:
+            again = register_again(helped, out=command.folder, seed=seed, **told)
+        else:
+            again = api.register(helped, out=command.folder, seed=seed, planned=screen.begin, **told)
         show_result(screen, again)
     return again.registered
 

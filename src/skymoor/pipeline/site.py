@@ -51,6 +51,7 @@ class Site:
     """What one run works on. Image names are relative to `root`; `options` are as the user wrote them in `source`.
 
     `airborne` is the folders and videos of the airborne photos, empty without any, `ground` those of each ground set.
+    Of a given model `airborne` are its files, and `photos` is the folder of its photos where that is not beside it.
     Of a reference that is `addressed` the files are below the folder of the run once they have been fetched.
     """
 
@@ -64,6 +65,7 @@ class Site:
     prior: SearchPrior = field(default_factory=SearchPrior)
     addressed: Addressed | None = None
     person: Person | None = None
+    photos: Path | None = None
     control: ControlFiles | None = None
 
     @property
@@ -229,10 +231,9 @@ def _reference(
         datum = problems.value(lambda: text_of(reference["vertical_datum"], where, "reference.vertical_datum"), "")
     covariance = UNKNOWN_ACCURACY
     with problems.collected():
-        if ce90 is not None or le90 is not None:
-            covariance = _from_ce90_le90(ce90, le90, "command line", dsm, datum)
-        else:
-            covariance = _covariance(reference, where, dsm, datum)
+        stated = ce90 is not None or le90 is not None
+        known = (ce90, le90, "command line", dsm, datum)
+        covariance = _from_ce90_le90(*known) if stated else _covariance(reference, where, dsm, datum)
     rights = {
         key: problems.value(partial(text_of, reference[key], where, f"reference.{key}"), "")
         for key in RIGHTS

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 RUN_FIRST = "run skymoor run first"
+STATISTICS = "statistics.json"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -126,6 +127,15 @@ class Result:
     def registered_cameras(self) -> tuple[CameraRow, ...]:
         """Those with a position."""
         return tuple(row for row in self.cameras if row.lat is not None)
+
+    @cached_property
+    def statistics(self) -> dict[str, Any]:
+        """Photos, match graph and overlap by the names of components; empty of runs of versions that wrote none."""
+        try:
+            found = json.loads((self.folder / STATISTICS).read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError):
+            return {}
+        return found if isinstance(found, dict) else {}
 
     def scene_centres(self) -> dict[tuple[str, int], Array]:
         """Where each registered component's scene is, (3,) ENU metres, by set and number."""

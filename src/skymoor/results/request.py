@@ -23,6 +23,8 @@ from skymoor.sources.addresses import Addressed, public_address
 from skymoor.store import plain
 
 ON_COMMAND_LINE = "command line"
+GIVEN = "model"
+"""The set of a model that was given, and not made of photos."""
 
 
 def request_of(site: Site) -> dict[str, Any]:
@@ -37,6 +39,7 @@ def request_of(site: Site) -> dict[str, Any]:
         "dsm_address": dsm,
         "covariance_m2": None if np.isnan(stated).any() else stated,
         "reference_run": None if site.reference.run is None else site.reference.run.resolve(),
+        "photos": None if site.photos is None else site.photos.resolve(),
         "prior": plain_prior(site.prior),
         "control": plain_control(site.control),
     }
@@ -80,6 +83,8 @@ def changed_options(result: Result) -> dict[str, object]:
 def site_of_run(result: Result) -> Site:
     """The site of a finished run as it was asked for, without what a person stated later; its options are all set.
 
+    Of a given model the site's `airborne` are the model's files.
+
     Raises `InputError` where the summary does not say enough.
     """
     summary, file = result.summary, result.folder / "summary.json"
@@ -88,8 +93,6 @@ def site_of_run(result: Result) -> Site:
     if request is None:
         raise InputError(f"{file}: was written by a version that did not record how it was asked for; {again}")
     names = [one["set"] for one in summary["sets"]]
-    if any(name != "airborne" and not name.startswith("ground") for name in names):
-        raise InputError(f"{file}: is of a model and not of photos; {again}")
     try:
         if "" in (request["ortho_address"], request["dsm_address"]):
             raise InputError(f"{file}: an address of the reference has a key, which is not kept; {again}")
@@ -108,11 +111,12 @@ def site_of_run(result: Result) -> Site:
             name=summary["site"],
             root=Path(request["root"]),
             reference=reference,
-            airborne=sources.get("airborne", ()),
-            ground=tuple(sources[name] for name in names if name != "airborne"),
+            airborne=sources.get("airborne", sources.get(GIVEN, ())),
+            ground=tuple(sources[name] for name in names if name.startswith("ground")),
             options=changed_options(result),
             source=str(request["site_file"] or ON_COMMAND_LINE),
             prior=prior_from_plain(request["prior"]),
+            photos=None if request.get("photos") is None else Path(request["photos"]),
             control=control_from_plain(request.get("control")),
             addressed=None if addressed is None else Addressed(addressed, request["dsm_address"]),
         )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -30,6 +31,7 @@ from skymoor.results.formats import (
     unplaced_cameras,
 )
 from skymoor.results.model_rasters import write_rasters
+from skymoor.results.read import STATISTICS
 from skymoor.results.report.renderings import (
     confidence_figure,
     height_figure,
@@ -38,8 +40,10 @@ from skymoor.results.report.renderings import (
     residual_figure,
 )
 from skymoor.results.request import credits_of, first_photo, request_of
+from skymoor.results.statistics import component_details, component_statistics, ellipses_of
+from skymoor.results.survey import hypotheses_of, run_figures
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow
-from skymoor.store import Store, name_prefix
+from skymoor.store import Store, name_prefix, plain
 from skymoor.types import Array, HeightStatus, Progress, Reference, no_progress
 
 NO_COMPONENT = "no three photos have enough matches to be reconstructed together"
@@ -72,11 +76,12 @@ def write_products(
     """Write all products of a run; returns the summary. `provenance` is what the run was made from."""
     rows = [row for found in sets for row in camera_rows(found, reference)]
     # Of the cameras of a former run; the summary comes back last, so that none describes products of another run.
-    for name in ("report.html", "report.pdf", "evaluation.json", "summary.json"):
+    for name in ("report.html", "report.pdf", "evaluation.json", STATISTICS, "summary.json"):
         store.remove(name)
     store.write_csv("cameras.csv", CAMERA_COLUMNS, cameras_table(rows))
     store.write_json("cameras.geojson", cameras_geojson(rows))
     _write_control(sets, site, store)
+    _write_statistics(sets, reference, store)
     for found in sets:
         for k, item in enumerate(found.components):
             _write_component(f"{found.name}_{k}", item, reference, options.match, store)
@@ -85,6 +90,7 @@ def write_products(
     summary = {
         "skymoor": __version__,
         "site": site.name,
+        **run_figures(site, reference, store.records),
         "seed": seed,
         "options": option_values(options),
         "reference": {
@@ -115,6 +121,18 @@ def _write_control(sets: Sequence[SetResult], site: Site, store: Store) -> None:
         return
     components = [(found.name, k, item.control) for found in sets for k, item in enumerate(found.components)]
     store.write_csv("control.csv", CONTROL_COLUMNS, control_table(components))
+
+
+def _write_statistics(sets: Sequence[SetResult], reference: Reference, store: Store) -> None:
+    """What grows with the number of photos stands beside the summary, in few lines."""
+    details = {}
+    for found in sets:
+        for k, item in enumerate(found.components):
+            images = [camera.image for camera in item.cameras_enu]
+            accuracy = accuracy_of(item, reference) if images else None
+            ellipses = {} if accuracy is None else ellipses_of(images, accuracy.total, accuracy.relative)
+            details[f"{found.name}_{k}"] = component_details(item, ellipses)
+    store.write_text(STATISTICS, json.dumps(plain(details), ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def camera_rows(found: SetResult, reference: Reference) -> list[CameraRow]:
@@ -171,6 +189,7 @@ def _component_summary(index: int, item: ComponentResult, reference: Reference) 
         "rmse_m": found.rmse_m,
         "diagnostics": found.diagnostics,
         "reprojection_px": item.component.reprojection_px,
+        "statistics": component_statistics(item),
         "calibration": calibration,
         "calibration_note": calibration_note(item),
         "gravity": item.gravity,
@@ -180,7 +199,7 @@ def _component_summary(index: int, item: ComponentResult, reference: Reference) 
         "height_scale": None if item.heights is None else item.heights.scale,
         "height_scale_sigma": None if item.heights is None else item.heights.scale_sigma,
         "lean_m_per_m": found.lean,
-        "hypotheses": _hypotheses(item, reference),
+        "hypotheses": hypotheses_of(item, reference),
         "first_photo": first_photo(item),
         "contradicting_cameras": [check.image for check in item.pose_checks if check.contradicts],
         "control": control_summary(item.control),
@@ -196,15 +215,6 @@ def _component_summary(index: int, item: ComponentResult, reference: Reference) 
         summary["surface_accuracy"] = surface_accuracy(item, reference)
         summary["scene_centre_enu"] = np.median(found.enu_from_level.apply(item.component.points), axis=0)
     return summary
-
-
-def _hypotheses(item: ComponentResult, reference: Reference, count: int = 3) -> list[dict[str, float]]:
-    """The best hypotheses of a component, accepted or not."""
-    rows = []
-    for one in item.hypotheses[:count]:
-        lat, lon, _ = reference.frame.lla_from_enu([[one.east, one.north, 0.0]])[0].tolist()
-        rows.append({"lat": lat, "lon": lon, **asdict(one)})
-    return rows
 
 
 def calibration_note(item: ComponentResult) -> str:

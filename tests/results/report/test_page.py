@@ -16,9 +16,11 @@ from skymoor.cli.main import main
 from skymoor.registration.criterion_kinds import KINDS
 from skymoor.results.read import Result
 from skymoor.results.report.page import report_page
+from skymoor.results.report.survey import lens_parts, search_parts
 from support.finished import HOSTILE, finished_run
 
-SECTIONS = {"verdict", "map", "swipe", "heights", "components", "stages", "provenance"}
+FORMER = {"summary", "verdict", "map", "photos", "swipe", "heights", "components", "files", "stages", "provenance"}
+SECTIONS = FORMER | {"calibration", "block", "search", "glossary", "options"}
 AA = 4.5  # WCAG 2, small text
 
 
@@ -46,13 +48,15 @@ class Page(HTMLParser):
 
 
 def test_it_needs_nothing_but_itself(tmp_path: Path) -> None:
-    page = Page(report_page(Result.read(finished_run(tmp_path))))
+    run = finished_run(tmp_path)
+    page = Page(report_page(Result.read(run)))
     assert page.ids >= SECTIONS
-    for _, attributes in page.tags:
+    for tag, attributes in page.tags:
         for name in ("src", "href", "srcset", "action", "data", "poster"):
             address = attributes.get(name)
-            assert address is None or address.startswith(("data:", "#")), (name, address)
-    assert len(page.of("img")) == 6
+            linked = tag == "a" and address is not None and (run / address).exists()
+            assert address is None or linked or address.startswith(("data:", "#")), (name, address)
+    assert len(page.of("img")) == 5
     assert all(image["alt"] and (image["src"] or "").startswith("data:image/") for image in page.of("img"))
     style = (files("skymoor.results.report") / "page.css").read_text(encoding="utf-8")
     assert "url(" not in style and "@import" not in style
@@ -107,6 +111,87 @@ def test_heights_are_compared_where_both_are_known(tmp_path: Path) -> None:
     found = re.search(r"Model minus reference median \+(0\.\d+) m", re.sub(r"\s+", " ", text))
     assert found is not None
     assert 0.45 < float(found[1]) < 0.55  # half a metre was put in
+
+
+def test_the_summary_says_when_where_and_how_well(tmp_path: Path) -> None:
+    result = Result.read(finished_run(tmp_path))
+    found = result.summary["sets"][0]["components"][0]["statistics"]
+    page = Page(report_page(result))
+    text = re.sub(r"\s+", " ", " ".join(page.words))
+    for told in (
+        "2026-11-02 10:20:30 UTC",
+        "WGS 84 / UTM zone 32N (EPSG:32632)",
+        "height above the WGS 84 ellipsoid (EPSG:4979)",
+        "EGM2008 height (EPSG:3855)",
+        "9 of 10",
+        f"{found['area_m2']:.0f} m²",
+        f"{100 * found['gsd_m']:.1f} cm",
+        f"{found['mean_track_length']:.1f}",
+        f"{found['mean_reprojection_px']:.2f} px (RMS {found['rms_reprojection_px']:.2f} px)",
+        "Nine of ten cameras are expected within 2.1 m in plan and 3.8 m in height of the truth on Earth, and "
+        "within 0.2 m in plan and 0.9 m in height of their place on the reference.",
+    ):
+        assert told in text, told
+
+
+def test_a_lens_is_told_with_what_is_not_determined(tmp_path: Path) -> None:
+    result = Result.read(finished_run(tmp_path))
+    (lens,) = lens_parts(result)
+    sigma = result.summary["sets"][0]["components"][0]["statistics"]["lenses"][0]["sigma"]
+    rows = {name: (value, spread) for name, value, spread in lens.rows}
+    assert rows["focal length x"] == ("392.00 px", f"{sigma['fx']:.2f} px")
+    assert rows["radial distortion k1"][0] == "\N{MINUS SIGN}0.05000"
+    assert rows["tangential distortion p1"] == ("0.00000", "not determined")
+    assert "enlarged" in lens.words and lens.drawing.count("<path") > 20
+
+
+def test_what_came_second_is_told_with_its_distance(tmp_path: Path) -> None:
+    (part,) = search_parts(Result.read(finished_run(tmp_path)), 1, ortho=False)
+    assert part.words == (
+        "The whole reference was searched, 6400 m² with imagery. The best hypothesis, which was accepted, has a score "
+        "of 90.0. The second has 65.0, 50 m from it."
+    )
+    assert part.drawing is not None and part.drawing.svg.count("<circle") == 2
+
+
+def test_every_map_has_a_scale_and_north(tmp_path: Path) -> None:
+    text = report_page(Result.read(finished_run(tmp_path)))
+    maps = re.findall(r'<svg (?:class="plan"|id="chart").*?</svg>', text, re.DOTALL)
+    assert len(maps) == 6  # cameras, overlap, match graph, search, surface, differences
+    for one in maps:
+        assert one.count('class="furniture"') == 1 and ">N</text>" in one and re.search(r">\d+ k?m</text>", one)
+    assert 'class="bar-of-scale"' in text and 'class="north"' in text
+
+
+def test_ellipses_are_those_of_the_covariance(tmp_path: Path) -> None:
+    text = report_page(Result.read(finished_run(tmp_path)))
+    ellipses = re.findall(
+        r'<ellipse class="(\w+) c0" [^>]*rx="([\d.]+)" ry="([\d.]+)" transform="rotate\((-?[\d.]+)', text
+    )
+    # The run has variances of 0.9 m^2 east and 0.4 north, in ellipses for 8 of 9 cameras and a circle for the other.
+    wanted = [("ce90", f"{2.146 * 0.9**0.5:.2f}", f"{2.146 * 0.4**0.5:.2f}", 0.0)] * 8
+    found = [(css, f"{float(a):.2f}", f"{float(b):.2f}", float(turn)) for css, a, b, turn in ellipses if css == "ce90"]
+    assert [one for one in found if one[1] != one[2]] == wanted and len(found) == 9
+    relative = [(float(a), float(b)) for css, a, b, _ in ellipses if css == "relative"]
+    times = re.search(r"without the error of the reference, drawn (\d+) times enlarged", text)
+    assert times is not None and max(a for a, _ in relative) == pytest.approx(
+        int(times[1]) * 2.146 * 0.02**0.5, rel=0.01
+    )
+
+
+def test_a_run_of_a_former_version_gets_its_report(tmp_path: Path) -> None:
+    page = Page(report_page(Result.read(finished_run(tmp_path, former=True))))
+    assert page.ids >= FORMER and not page.ids & {"calibration", "block"}
+    assert len(page.of("ellipse")) == 18  # circles of CE90, on Earth and relative
+    words = "".join(page.words)
+    assert "EPSG" not in words.partition("Verdict")[0] and "skymoor 0.1.0" in words
+
+
+def test_damaged_statistics_cost_no_report(tmp_path: Path) -> None:
+    run = finished_run(tmp_path)
+    (run / "statistics.json").write_text("[")
+    assert Result.read(run).statistics == {}
+    assert not Page(report_page(Result.read(run))).ids & {"block"}
 
 
 def test_hundreds_of_cameras_stay_a_small_page(tmp_path: Path) -> None:

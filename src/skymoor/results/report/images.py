@@ -11,8 +11,7 @@ import numpy as np
 from PIL import Image as Pillow
 
 from skymoor.engines.tensors import fitted
-from skymoor.results.report.renderings import difference_figure
-from skymoor.types import Array32, Image
+from skymoor.types import Image
 
 SIDE_PX, QUALITY = 1200, 80
 
@@ -34,8 +33,8 @@ def file_uri(path: Path, side_px: int = SIDE_PX) -> str | None:
         return None
 
 
-def difference_uri(metres: Array32) -> str:
-    """Heights that differ, cut to where any is known."""
-    rows, columns = np.nonzero(np.isfinite(metres))
-    part = metres[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    return data_uri(difference_figure(part), 900)
+def png_uri(rgba: Image) -> str:
+    """A small image (h, w, 4) with transparent parts as a data URI."""
+    content = io.BytesIO()
+    Pillow.fromarray(rgba).save(content, "PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(content.getvalue()).decode()

@@ -1,6 +1,32 @@
 // The map moves and tells; the slider uncovers. Without this script all figures are still there.
 (() => {
   "use strict";
+  // Heads of tables become buttons that sort: numbers by value, what has none last in both directions.
+  const value = (row, k) => {
+    const text = row.cells[k].textContent.trim();
+    const figure = Number(text.replace("−", "-"));
+    return text === "" || text === "–" ? null : Number.isNaN(figure) ? text : figure;
+  };
+  const compare = (a, b) =>
+    typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b), undefined, { numeric: true });
+  document.querySelectorAll("table.sortable").forEach((table) => {
+    const heads = [...table.tHead.rows[0].cells];
+    heads.forEach((head, k) => {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.textContent = head.textContent;
+      head.replaceChildren(button);
+      head.setAttribute("aria-sort", "none");
+      button.addEventListener("click", () => {
+        const down = head.getAttribute("aria-sort") === "ascending";
+        heads.forEach((one) => one.setAttribute("aria-sort", "none"));
+        head.setAttribute("aria-sort", down ? "descending" : "ascending");
+        const body = table.tBodies[0], rows = [...body.rows].map((row) => [value(row, k), row]);
+        rows.sort(([a], [b]) => (a === null) - (b === null) || (a === null ? 0 : (down ? -1 : 1) * compare(a, b)));
+        body.append(...rows.map(([, row]) => row));
+      });
+    });
+  });
   const chart = document.getElementById("chart");
   const slider = document.getElementById("slider");
   if (slider) {
@@ -23,6 +49,7 @@
   const ruler = document.getElementById("ruler");
   const whole = chart.dataset.box.split(" ").map(Number);
   let box = whole.slice();
+  frame.classList.add("scripted"); // the ruler follows the zoom, and the bar of the whole map is not needed
   const scale = () => Math.max(box[2] / chart.clientWidth, box[3] / chart.clientHeight); // metres per pixel
   const show = () => {
     chart.setAttribute("viewBox", box.join(" "));
@@ -101,6 +128,7 @@
   document.getElementById("rings").addEventListener("change", (event) => frame.classList.toggle("no-rings", !event.target.checked));
   document.getElementById("relative").addEventListener("change", (event) => frame.classList.toggle("show-relative", event.target.checked));
   window.addEventListener("resize", show);
+  window.addEventListener("beforeprint", () => zoom(0)); // the printed scale bar is that of the whole map
   show();
 })();
 // What is folded away is printed as well.

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import BaseLoader, Environment
+from jinja2 import DictLoader, Environment
 from markupsafe import Markup
 
 from skymoor.registration.criteria import remedy_of
@@ -21,7 +21,19 @@ from skymoor.results.read import ComponentSummary, Result
 from skymoor.results.report import words
 from skymoor.results.report.control import control_parts
 from skymoor.results.report.figures import histogram
-from skymoor.results.report.images import data_uri, difference_uri, file_uri
+from skymoor.results.report.images import data_uri, file_uri
+from skymoor.results.report.maps import ellipse, enlarged_words, enlargement, furniture, length_words, scale_length
+from skymoor.results.report.surfaces import height_differences, shaded_surface
+from skymoor.results.report.survey import (
+    accuracy_rows,
+    block_maps,
+    block_rows,
+    lens_parts,
+    photo_verdict,
+    run_files,
+    search_parts,
+    summary_rows,
+)
 
 COLOURS = 6  # of components on the map; the style has as many
 MAX_ILLUSTRATED = 6  # components with figures: a page of many hundred small components must still open
@@ -61,7 +73,9 @@ class Part:
     component: ComponentSummary
     colour: int
     verdict: str
+    plain: str
     remedy: str
+    accuracy: list[tuple[str, list[str]]]
     facts: list[tuple[str, str]]
     criteria: list[dict[str, Any]]
     figures: list[Figure] = field(default_factory=list)
@@ -71,6 +85,7 @@ class Part:
 def report_page(result: Result) -> str:
     """The page about a run, one HTML document that holds everything it shows."""
     mosaic = mosaic_of(result)
+    ortho = mosaic.satellite is not None and mosaic.grid is not None
     parts = [_part(result, one, k) for k, one in enumerate(result.components)]
     text: str = _template().render(
         result=result,
@@ -87,7 +102,15 @@ def report_page(result: Result) -> str:
         map=_map(result, mosaic),
         satellite=None if mosaic.satellite is None else data_uri(mosaic.satellite),
         swipe=_swipe(mosaic),
-        heights=_heights(mosaic),
+        overview=summary_rows(result),
+        blocks=block_rows(result),
+        lenses=lens_parts(result),
+        drawings=block_maps(result, MAX_ILLUSTRATED, ortho=ortho),
+        search=search_parts(result, MAX_ILLUSTRATED, ortho=ortho),
+        photos=_photos(result),
+        files=run_files(result.folder),
+        surface=shaded_surface(mosaic, result.frame.height_m),
+        heights=height_differences(mosaic),
         changes=_changes(result.folder),
         registered=result.registered_cameras,
         stages=_stages(result.summary.get("stages", [])),
@@ -98,8 +121,16 @@ def report_page(result: Result) -> str:
 
 
 def _part(result: Result, component: ComponentSummary, position: int) -> Part:
-    texts = (words.verdict(component), remedy_of(component.summary), words.facts(component), words.criteria(component))
-    part = Part(component, position % COLOURS, *texts)
+    part = Part(
+        component,
+        position % COLOURS,
+        verdict=words.verdict(component),
+        plain=words.plain_words(component),
+        remedy=remedy_of(component.summary),
+        accuracy=accuracy_rows(component),
+        facts=words.facts(component),
+        criteria=words.criteria(component),
+    )
     if position >= MAX_ILLUSTRATED:
         return part
     figures = []
@@ -114,8 +145,7 @@ def _part(result: Result, component: ComponentSummary, position: int) -> Part:
 def has_question(result: Result) -> bool:
     """Whether `skymoor ask` has a question about this run."""
     airborne = any(one.image_set == "airborne" for one in result.components)
-    asked = "airborne" if airborne else "ground"
-    return any(not one.registered and one.image_set.startswith(asked) for one in result.components)
+    return any(not one.registered and (one.image_set == "airborne" or not airborne) for one in result.components)
 
 
 def _residuals(result: Result, component: ComponentSummary) -> list[Markup]:
@@ -151,24 +181,61 @@ def _map(result: Result, mosaic: Mosaic) -> dict[str, Any] | None:
     xy = np.array([[dot["x"], dot["y"]] for dot in dots], dtype=np.float64).reshape(-1, 2)
     corners = xy if extent is None else np.vstack([xy, [[extent[0], -extent[3]], [extent[2], -extent[1]]]])
     low, high = corners.min(axis=0) - 5, corners.max(axis=0) + 5
-    return {"dots": dots, "extent": extent, "box": [round(float(v), 1) for v in (*low, *(high - low))]}
+    box = (*low.tolist(), *(high - low).tolist())
+    frame = {"extent": extent, "box": [round(value, 1) for value in box], "furniture": furniture(box)}
+    return {"dots": dots} | frame | _ellipses(result, dots, box)
+
+
+def _ellipses(result: Result, dots: list[dict[str, Any]], box: tuple[float, ...]) -> dict[str, Any]:
+    """Error ellipses around the cameras, on Earth and relative to the reference, each with the words on its scale.
+
+    Runs of former versions have no ellipses: circles of CE90 stand for them.
+    """
+    found = {name: {row["image"]: row for row in one["photos"]} for name, one in result.statistics.items()}
+    drawn: dict[str, Any] = {}
+    for css, key, ce90 in (("ce90", "ellipse_90", "ce90"), ("relative", "relative_ellipse_90", "relative_ce90")):
+        axes = []
+        for dot in dots:
+            row = dot["row"]
+            own = found.get(f"{row.set}_{row.component}", {}).get(row.image, {}).get(key)
+            radius = getattr(row, ce90)
+            axes.append(own or (None if radius is None else [radius, radius, 0.0]))
+        times = enlargement([one[0] for one in axes if one is not None], box)
+        pairs = [(dot, one) for dot, one in zip(dots, axes, strict=True) if one is not None]
+        drawn[css] = [ellipse(dot["x"], dot["y"], one, times, f"{css} c{dot['colour']}") for dot, one in pairs]
+        drawn[f"{css}_words"] = enlarged_words(times)
+    return drawn
+
+
+def _photos(result: Result) -> list[dict[str, Any]]:
+    """A row for each photo: its line of cameras.csv, the figures of its tie points, and its verdict."""
+    found = {name: {row["image"]: row for row in one["photos"]} for name, one in result.statistics.items()}
+    doubted = {(one.name, image) for one in result.components for image in one.summary.get("contradicting_cameras", ())}
+    rows = []
+    for row in result.cameras:
+        name = f"{row.set}_{row.component}"
+        verdict = photo_verdict(row.status, row.component, contradicts=(name, row.image) in doubted)
+        rows.append({"row": row, "tie": found.get(name, {}).get(row.image, {}), "verdict": verdict})
+    return rows
 
 
 def _swipe(mosaic: Mosaic) -> dict[str, str] | None:
-    """Satellite and model around the model."""
-    if mosaic.satellite is None or mosaic.model is None or mosaic.model_mask is None or not mosaic.model_mask.any():
+    """Satellite and model around the model, and a scale bar: its share of the width in percent, and its length."""
+    if (
+        mosaic.grid is None
+        or mosaic.satellite is None
+        or mosaic.model is None
+        or mosaic.model_mask is None
+        or not mosaic.model_mask.any()
+    ):
         return None
     rows, columns = np.nonzero(mosaic.model_mask)
     part = np.s_[max(0, rows.min() - 8) : rows.max() + 9, max(0, columns.min() - 8) : columns.max() + 9]
     model = np.where(mosaic.model_mask[..., None], mosaic.model, mosaic.satellite // 2)
-    return {"under": data_uri(mosaic.satellite[part]), "over": data_uri(model[part].astype(np.uint8))}
-
-
-def _heights(mosaic: Mosaic) -> dict[str, Any] | None:
-    difference = mosaic.height_difference
-    if difference is None:
-        return None
-    return {"uri": difference_uri(difference), "histogram": histogram(difference, "Model minus reference")}
+    wide_m = mosaic.satellite[part].shape[1] * mosaic.grid.pixel_m
+    length = scale_length(wide_m)
+    scale = {"share": f"{100 * length / wide_m:.2f}", "length": length_words(length)}
+    return scale | {"under": data_uri(mosaic.satellite[part]), "over": data_uri(model[part].astype(np.uint8))}
 
 
 def _changes(folder: Path) -> dict[str, str] | None:
@@ -185,10 +252,13 @@ def _stages(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
 @cache
 def _template() -> Any:
     folder = files("skymoor.results.report")
-    environment = Environment(loader=BaseLoader(), autoescape=True, trim_blocks=True)
-    environment.filters |= {"number": words.number, "share": words.share, "duration": words.duration}
+    names = ("page.html.j2", "page.survey.html.j2", "page.photos.html.j2")
+    texts = {name: (folder / name).read_text(encoding="utf-8") for name in names}
+    environment = Environment(loader=DictLoader(texts), autoescape=True, trim_blocks=True)
+    filters = (words.number, words.share, words.duration)
+    environment.filters |= {one.__name__: one for one in filters}
     environment.globals |= {
         name: Markup((folder / file).read_text(encoding="utf-8"))  # of this package, not of the user
         for name, file in (("style", "page.css"), ("script", "page.js"))
     }
-    return environment.from_string((folder / "page.html.j2").read_text(encoding="utf-8"))
+    return environment.get_template("page.html.j2")

@@ -6,17 +6,24 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from skymoor.results.report.scale import with_scale
 from skymoor.types import Array, Array32, Image, Mask, Matches2D, Raster
 
 GOOD, BAD = (64, 224, 96), (255, 72, 48)
 
 
-def height_figure(height: Array32, *, percent: float = 0.5) -> Image:
+def height_range(height: Array32, percent: float = 0.5) -> tuple[float, float]:
+    """The heights (h, w) at both ends of the colours of `height_figure`; some must be known."""
+    low, high = np.percentile(height[np.isfinite(height)], [percent, 100 - percent]).tolist()
+    return low, high
+
+
+def height_figure(height: Array32) -> Image:
     """Heights (h, w) as colour with hill shading, black where unknown; the colours span all but the outliers."""
     known = np.isfinite(height)
     if not known.any():
         return np.zeros((*height.shape, 3), np.uint8)
-    low, high = np.percentile(height[known], [percent, 100 - percent])
+    low, high = height_range(height)
     scaled = np.clip((np.where(known, height, low) - low) / max(high - low, 1e-9), 0, 1)
     colour = cv2.applyColorMap((255 * scaled).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1].astype(np.float32)
     smooth = cv2.GaussianBlur(scaled.astype(np.float32), (0, 0), 1.0)
@@ -64,7 +71,7 @@ def overlay_figure(warped: Raster, reference: Image, *, tile_m: float = 15.0, pi
     part = tuple(slice(max(0, x.min() - tile), x.max() + tile) for x in area)
     cropped = np.ascontiguousarray(mixed[part])
     zoom = max(1, round(900 / max(cropped.shape[:2])))
-    return np.asarray(cv2.resize(cropped, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC))
+    return with_scale(cv2.resize(cropped, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC), pixel_m / zoom)
 
 
 def residual_figure(reference: Image, px: Array, residuals_m: Array, inliers: Mask, *, pixel_m: float) -> Image:
@@ -86,7 +93,7 @@ def residual_figure(reference: Image, px: Array, residuals_m: Array, inliers: Ma
         colour = _diverging(up)
         cv2.arrowedLine(canvas, (round(u), round(v)), tip, colour, 1, cv2.LINE_AA, tipLength=0.25)
         cv2.circle(canvas, (round(u), round(v)), 3, colour, -1, cv2.LINE_AA)
-    return canvas
+    return with_scale(canvas, pixel_m / scale)
 
 
 def difference_figure(metres: Array32, *, reach_m: float = 3.0) -> Image:

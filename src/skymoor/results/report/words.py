@@ -24,6 +24,17 @@ GLOSSARY = {
     "decoy": "A mirrored or shuffled render, which matches nowhere: its best score shows what coincidence reaches.",
     "false-alarm probability": "How likely one more decoy would score as high as the hypothesis.",
     "control": "Surveyed points, camera positions and lengths, which models are compared with or moved onto.",
+    "tie point": "A point of the ground or a building that two or more photos show; tie points join the photos.",
+    "track length": "The number of photos in which a tie point was found.",
+    "reprojection error": "Distance in pixels between a tie point in a photo and where the adjusted model projects it.",
+    "bundle adjustment": "Joint least squares of the camera poses, the tie points and the lens.",
+    "GSD": "Ground sampling distance: the size of a pixel on the ground, median depth over focal length.",
+    "principal point": "Where the axis of the lens meets the image.",
+    "distortion": "Radial (k1, k2) and tangential (p1, p2) terms of Brown's model: how a lens differs from a pinhole.",
+    "standard deviation of the lens": "The focal length's by its profile, others formal, of the bundle adjustment.",
+    "error ellipse": "Holds 90 % of the horizontal errors of a camera; long where the position is least certain.",
+    "overlap": "How many photos show a place; something in front of it is not taken into account.",
+    "match graph": "Which photos have tie points in common, and how many.",
     "inliers": "Matches that agree with the transform within a limit; the inlier ratio is their share.",
     "residual": "What remains between a match of the model and of the reference after the transform.",
     "contrast": "How far ground photos agree better with the walls at the hypothesis than a few metres aside.",
@@ -135,14 +146,57 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 3600 else f"{seconds / 3600:.1f} h"
 
 
+def area(square_metres: object) -> str:
+    """Square metres, hectares or square kilometres, whichever reads best."""
+    if not isinstance(square_metres, int | float):
+        return NONE
+    if square_metres < 1e4:
+        return f"{square_metres:.0f} m²"
+    return f"{square_metres / 1e4:.2f} ha" if square_metres < 1e6 else f"{square_metres / 1e6:.2f} km²"
+
+
+def small_length(metres: object) -> str:
+    """In centimetres below a metre."""
+    if not isinstance(metres, int | float):
+        return NONE
+    return f"{100 * metres:.1f} cm" if metres < 1 else f"{metres:.2f} m"
+
+
+def size(n_bytes: float) -> str:
+    """Of a file."""
+    for unit in ("B", "kB", "MB"):
+        if n_bytes < 1000:
+            return f"{n_bytes:.0f} {unit}"
+        n_bytes /= 1000
+    return f"{n_bytes:.1f} GB"
+
+
+def plain_words(component: ComponentSummary) -> str:
+    """Both accuracies for a reader who knows neither CE90 nor LE90; empty where there is none."""
+    one, known = component.summary, component.heights != "NOT_CONFIRMED"
+    if not component.registered:
+        return ""
+    pairs = [
+        (one.get(f"predicted_{name}ce90_m"), one.get(f"predicted_{name}le90_m") if known else None, where)
+        for name, where in (("", "of the truth on Earth"), ("relative_", "of their place on the reference"))
+    ]
+    told = [
+        f"within {plan:.1f} m{'' if height is None else f' in plan and {height:.1f} m in height'} {where}"
+        for plan, height, where in pairs
+        if plan is not None
+    ]
+    return f"Nine of ten cameras are expected {', and '.join(told)}." if told else ""
+
+
 def facts(component: ComponentSummary) -> list[tuple[str, str]]:
     """The figures behind the verdict, each with its name."""
     one: Mapping[str, Any] = component.summary
+    error = (one.get("statistics") or {}).get("mean_reprojection_px", one.get("reprojection_px"))
     return [
         ("cameras", str(one.get("n_cameras", NONE))),
         ("inliers", f"{one.get('n_inliers', NONE)} of {one.get('n_matches', NONE)} matches"),
         ("RMSE of inliers", f"{number(one.get('rmse_m'))} m"),
-        ("reprojection error", f"{number(one.get('reprojection_px'))} px"),
+        ("reprojection error", f"{number(error)} px"),
         ("tilt", f"{number(one.get('tilt_deg'))}°"),
         *_height_facts(one),
     ]
