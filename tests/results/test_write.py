@@ -18,7 +18,7 @@ from skymoor.pipeline.job import ComponentResult
 from skymoor.pipeline.options import Options
 from skymoor.pipeline.reference_files import ReferenceFiles
 from skymoor.pipeline.site import Site
-from skymoor.results.accuracy import accuracy_of, figures_of
+from skymoor.results.accuracy import accuracy_of, figures_of, surface_accuracy
 from skymoor.results.read import Result
 from skymoor.results.write import SetResult, camera_rows, write_products
 from skymoor.store import PRODUCTS, Store
@@ -128,3 +128,13 @@ def test_a_focal_length_moves_cameras_along_their_view() -> None:
         assert 0.7 < distance / np.linalg.norm(camera.centre - np.median(component.points, axis=0)) < 1.3
         axis = camera.cam_from_world.rotation[2]
         assert axis @ covariance @ axis > 0.8 * covariance.trace()
+
+
+def test_a_surface_is_never_surer_than_what_all_matches_share(ground: ComponentResult) -> None:
+    assert ground.base is not None
+    sure = replace(ground.base, registration=registration(1e-8, [0, 0, 0]))
+    found = surface_accuracy(sure, REFERENCE)
+    assert found is not None
+    assert found["relative_ce90_m"] == pytest.approx(2.146 * 0.15 * REFERENCE.grid.pixel_m, rel=0.05)
+    assert found["relative_le90_m"] == pytest.approx(LE90_PER_SIGMA * 0.1, rel=0.05)
+    assert surface_accuracy(ground, REFERENCE) is None
