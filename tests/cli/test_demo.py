@@ -22,6 +22,7 @@ SMALL = SiteOptions(
     groups=0,
     security=0,
     photo_width=400,
+    samples=1,
     reference_width_m=150.0,
     ortho_pixel_m=0.5,
 )

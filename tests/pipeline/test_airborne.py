@@ -134,7 +134,7 @@ def test_a_second_run_is_served_from_the_cache(copied: Path, small_site: Site) -
 
 
 def test_a_radiance_field_places_the_photos_as_well(copied: Path, small_site: Site) -> None:
-    options = ("--set", "model.kind=nerf", "--set", "model.nerf.iterations=30")
+    options = ("--set", "model.kind=nerf", "--set", "model.nerf.iterations=10")
     mesh = rows_of(copied / "cameras.csv")
     assert run(small_site.folder / "airborne.toml", copied, *options) == 0
     redone = ("model", "nadir", "search", "decoys", "places", "register")
@@ -149,7 +149,8 @@ def test_a_radiance_field_places_the_photos_as_well(copied: Path, small_site: Si
 
 def test_too_few_ground_photos_are_refused_and_listed(copied: Path, small_site: Site) -> None:
     before = rows_of(copied / "cameras.csv")
-    assert run(small_site.toml, copied) == 3
+    fewer = ("--set", "ground.walls.finalists=4", "--set", "ground.walls.matched=1")
+    assert run(small_site.toml, copied, *fewer) == 3
     # The airborne photos are where they were.
     assert all(stage == "walls" or stage.startswith("ground0") for stage in computed_stages(copied))
     airborne, ground = summary_of(copied)["sets"]

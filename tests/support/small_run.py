@@ -11,7 +11,10 @@ from typing import Any
 from skymoor.cli.main import main
 
 # Narrower and coarser than the defaults, to save time; the flights are 73 to 77 m above ground.
-SEARCH = ("min_height_m=60", "max_height_m=92", "search.template_px=96", "search.reference_px=384")
+SEARCH = (
+    *("min_height_m=60", "max_height_m=92", "search.template_px=64", "search.reference_px=384"),
+    "search.azimuth_step_deg=9",
+)
 OPTIONS = (*(f"match.{one}" for one in SEARCH), "match.decoys.count=2", "engines.sift.max_features=2500")
 FASTER = tuple(word for one in OPTIONS for word in ("--set", one))
 SEED = 3

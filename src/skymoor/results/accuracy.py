@@ -65,18 +65,20 @@ def figures_of(accuracy: CameraAccuracy) -> Array:
 
 
 def surface_accuracy(item: ComponentResult, reference: Reference) -> dict[str, Any] | None:
-    """Accuracy of a component's surface, each with and without the reference's error, means over its points.
+    """Accuracy of a component's surface, each with and without the reference's error.
 
-    Covariances (3, 3) m^2 east-north-up, and CE90 and LE90 in metres. What is absolute is NaN where the accuracy of
-    the reference is unknown. None for ground components, whose accuracy is that of the airborne one and their own.
+    Covariances (3, 3) are means over its points, m^2 east-north-up; CE90 and LE90 are those of them, metres. What is
+    absolute is NaN where the accuracy of the reference is unknown. None for ground components, whose accuracy is that
+    of the airborne one and their own.
     """
     if item.base is not None or item.registration.covariance is None or not len(item.component.points):
         return None
-    found = _of_surface(item, reference)
+    points = _of_surface(item, reference)
+    found = CameraAccuracy(*(part.mean(axis=0, keepdims=True) for part in (points.shared, points.relative)))
     names = ("ce90_m", "le90_m", "relative_ce90_m", "relative_le90_m")
     known = reference.accuracy_known or item.registration.absolute is not None
     covariances = {
-        "covariance_m2": found.total.mean(axis=0) if known else None,
-        "relative_covariance_m2": found.relative.mean(axis=0),
+        "covariance_m2": found.total[0] if known else None,
+        "relative_covariance_m2": found.relative[0],
     }
-    return covariances | dict(zip(names, figures_of(found).mean(axis=0).tolist(), strict=True))
+    return covariances | dict(zip(names, figures_of(found)[0].tolist(), strict=True))
