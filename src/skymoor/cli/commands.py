@@ -96,10 +96,9 @@ def run(command: Run) -> bool:
 def register(command: Register) -> bool:
     """`skymoor register`; returns whether the model is registered."""
     from skymoor.api_models import register_model
-    from skymoor.cli.tables import control_lines, control_tables, remedies, summary_table
+    from skymoor.cli.outcome import show_result
     from skymoor.pipeline.option_parser import parse_option
     from skymoor.results.placed import PLACED
-    from skymoor.results.report.write import PAGE
 
     with Screen(plain=command.quiet, for_scripts=command.json, verbose=command.verbose) as screen:
         result = register_model(
@@ -125,15 +124,9 @@ def register(command: Register) -> bool:
             progress=screen.progress,
             note=screen.note,
         )
-        summary = result.summary
-        for table in (summary_table(summary), *control_tables(summary)):
-            screen.show(table)
-        for line in (*remedies(summary), *control_lines(summary)):
-            screen.note(line)
+        show_result(screen, result)
         if result.registered:
             screen.note(f"the model's own files, moved: {command.out / PLACED}")
-        screen.note(f"results in {command.out}; to read: {command.out / PAGE}")
-        screen.answer({"out": command.out.resolve(), "site": summary["site"], "sets": summary["sets"]})
     return result.registered and (result.heights_confirmed or not command.require_heights)
 
 
