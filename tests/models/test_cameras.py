@@ -73,6 +73,29 @@ def world_from_gl(camera: Camera) -> Array:
     return pose
 
 
+@pytest.mark.parametrize("kind", ["bin", "txt"])
+def test_a_dataset_that_colmap_synthesised(kind: str, tmp_path: Path) -> None:
+    """Two rigs of six images: what its observations show is where its cameras, as they are read, see its points."""
+    pycolmap.set_random_seed(1)
+    options = pycolmap.SyntheticDatasetOptions(
+        num_rigs=2, num_cameras_per_rig=1, num_frames_per_rig=6, num_points3D=600
+    )
+    made = pycolmap.synthesize_dataset(options)
+    (made.write if kind == "bin" else made.write_text)(str(tmp_path))
+    model = read_model([tmp_path])
+    component = model.component
+    assert component is not None and len(component.cameras) == 12 and isinstance(model.surface, Cloud)
+    assert len(model.surface.points) == 600 and len(component.obs_px) == made.compute_num_observations()
+    errors = [
+        component.cameras[k].intrinsics.px_from_cam(
+            component.cameras[k].cam_from_world.apply(component.points[p][None])
+        )
+        - px
+        for k, p, px in zip(component.obs_camera, component.obs_point, component.obs_px, strict=True)
+    ]
+    assert np.abs(np.concatenate(errors)).max() < 1e-3
+
+
 def test_nerfstudio(tmp_path: Path) -> None:
     cameras, points, colours = scene()
     write_photos(tmp_path / "images", cameras)
