@@ -15,6 +15,9 @@ from skymoor.pipeline.engines import Engines
 from skymoor.pipeline.option_docs import descriptions_of
 from skymoor.pipeline.option_parser import option_fields, option_names, option_values, with_options
 from skymoor.pipeline.options import Options, check_engines
+from skymoor.pipeline.prior import KEYS as PRIOR_KEYS
+from skymoor.pipeline.site import REFERENCE_KEYS
+from skymoor.pipeline.site_control import KEYS as CONTROL_KEYS
 from skymoor.pipeline.site_schema import site_schema
 
 CHOICES = (
@@ -141,3 +144,10 @@ def test_the_schema_knows_every_option() -> None:
         assert table["description"] and ("type" in table or "enum" in table or "anyOf" in table)
     assert schema["properties"]["options"]["properties"]["model"]["properties"]["kind"]["enum"] == ["mesh", "nerf"]
     json.dumps(schema)
+
+
+def test_the_schema_knows_every_key_of_a_site() -> None:
+    tables = site_schema()["properties"]
+    assert set(tables["reference"]["properties"]) == set(REFERENCE_KEYS)
+    assert set(tables["prior"]["properties"]) == set(PRIOR_KEYS)
+    assert set(tables["control"]["properties"]) == set(CONTROL_KEYS)

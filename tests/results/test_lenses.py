@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from skymoor.engines.colmap import colmap_from_component, component_from_colmap
+from skymoor.reconstruct import calibration
 from skymoor.reconstruct.calibration import adjust
-from skymoor.results import lenses
 from skymoor.results.lenses import FIELD_COLUMNS, FIELD_ROWS, _as_adjusted, lens_figures, lens_residuals, residual_field
 from skymoor.results.statistics import image_residuals
 from skymoor.types import Calibration, Component
@@ -101,8 +101,8 @@ def test_many_photos_keep_enough_tracks_for_each(monkeypatch: pytest.MonkeyPatch
     """The longest tracks are in the middle of a block: of too few, photos at its edge would have none."""
     whole = block("nadir", relief_m=8.0, n=1500)
     everything = figures(whole)["sigma"]["k1"]
-    monkeypatch.setattr(lenses, "TRACKS", 8)
+    monkeypatch.setattr(calibration, "TRACKS", 8)
     enough = figures(whole)["sigma"]["k1"]
-    monkeypatch.setattr(lenses, "TRACKS_PER_CAMERA", 0)
+    monkeypatch.setattr(calibration, "TRACKS_PER_PHOTO", 0)
     few = figures(whole)["sigma"]["k1"]
     assert everything <= enough < 4 * everything and (few is None or few > 10 * everything)

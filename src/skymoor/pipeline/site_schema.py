@@ -25,6 +25,7 @@ def site_schema() -> dict[str, Any]:
             "type": ["string", "number"],
             "description": "its surface model, or one height of the ground in metres; without it heights stay unknown",
         },
+        "run": {"type": "string", "description": "folder of an earlier run, in place of all the others"},
         "vertical_datum": {"type": "string", "description": '"ellipsoid" or an EPSG code such as "EPSG:3855"'},
         "ce90": {**metres, "description": "circular error, 90 percent, metres"},
         "le90": {**metres, "description": "linear (vertical) error, 90 percent, metres"},
@@ -43,10 +44,11 @@ def site_schema() -> dict[str, Any]:
         **_table(
             {
                 "name": {"type": "string"},
-                "reference": _table(reference, required=["ortho"]),
+                "reference": {**_table(reference), "anyOf": [{"required": ["ortho"]}, {"required": ["run"]}]},
                 "airborne": images,
                 "ground": {"type": "array", "items": images},
                 "control": _table(_control(metres), required=["files"]),
+                "prior": _table(_prior(metres)),
                 "options": _options(Options()),
             },
             required=["reference"],
@@ -63,6 +65,22 @@ def _control(metres: dict[str, Any]) -> dict[str, Any]:
         "vertical_datum": {"type": "string", "description": '"ellipsoid" or an EPSG code'},
         "ce90": {**metres, "description": "circular error, 90 percent, metres, where the files do not say"},
         "le90": {**metres, "description": "linear error, 90 percent, metres, where the files do not say"},
+    }
+
+
+def _prior(metres: dict[str, Any]) -> dict[str, Any]:
+    def numbers(count: int, about: str) -> dict[str, Any]:
+        items = {"type": "number"}
+        return {"type": "array", "items": items, "minItems": count, "maxItems": count, "description": about}
+
+    return {
+        "area": numbers(4, "search only there: west, south, east and north in degrees"),
+        "near": numbers(3, "search only there: latitude, longitude and a radius in metres"),
+        "heading": {
+            "type": ["string", "number"],
+            "description": "compass direction in which the first photo looks, degrees, or PHOTO=DEGREES",
+        },
+        "height": {**metres, "description": "flying height above the ground, metres"},
     }
 
 

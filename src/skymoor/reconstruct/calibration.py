@@ -25,6 +25,7 @@ AS_GOOD = 0.1
 """Relative growth of the squared residuals below which two calibrations fit the photos about as well. It is far above
 that of independent noise, because camera models have systematic errors: on real nadir blocks the focal length was
 off by 4 and 20 percent where the cost had grown by 8 and 5 percent."""
+TRACKS, TRACKS_PER_PHOTO = 2500, 25  # the longest, of which the calibration is profiled
 UNCERTAIN_RATIO = 0.05
 """Heights scale with the focal length: with a wider interval, heights are not used."""
 
@@ -122,8 +123,14 @@ def scale_focal(reconstruction: pycolmap.Reconstruction, ratio: float) -> None:
             camera.params = params
 
 
-def thin(reconstruction: pycolmap.Reconstruction, max_points: int = 2500) -> pycolmap.Reconstruction:
-    """A copy with only the longest tracks: enough for the calibration, several times faster."""
+def thin(reconstruction: pycolmap.Reconstruction, max_points: int | None = None) -> pycolmap.Reconstruction:
+    """A copy with only the longest tracks: enough for the calibration, several times faster.
+
+    Without a number, `TRACKS` of them, or `TRACKS_PER_PHOTO` for each photo where that is more: of a large block, 2500
+    would leave photos with a point or none, and no covariance.
+    """
+    if max_points is None:
+        max_points = max(TRACKS, TRACKS_PER_PHOTO * reconstruction.num_reg_images())
     copy = pycolmap.Reconstruction(reconstruction)
     lengths = {k: p.track.length() for k, p in copy.points3D.items()}
     for k in sorted(lengths, key=lambda k: -lengths[k])[max_points:]:

@@ -17,7 +17,6 @@ from skymoor.types import Array, Component
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 FIELD_COLUMNS, FIELD_ROWS = 9, 7  # of the residuals over the image
 FIELD_LEAST = 5  # observations in a cell: the mean of fewer is noise
-TRACKS, TRACKS_PER_CAMERA = 2500, 25  # the longest ones, which the covariance is computed of
 MAX_CAMERAS = 400  # beyond, the covariance of the adjustment takes minutes
 
 
@@ -144,7 +143,7 @@ def _thinned(component: Component, lenses: list[Intrinsics]) -> tuple[pycolmap.R
     of_id = {whole.image(k + 1).camera_id: lenses.index(one.intrinsics) for k, one in enumerate(component.cameras)}
     for camera_id, number in of_id.items():
         _as_adjusted(whole.camera(camera_id), lenses[number])
-    reconstruction = thin(whole, max(TRACKS, TRACKS_PER_CAMERA * len(component.cameras)))
+    reconstruction = thin(whole)
     for point_id in [k for k, point in reconstruction.points3D.items() if point.track.length() < 2]:
         reconstruction.delete_point3D(point_id)
     reconstruction.update_point_3d_errors()
