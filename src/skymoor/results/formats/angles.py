@@ -46,6 +46,12 @@ def yaw_pitch_roll_deg(cam_from_enu: Array) -> tuple[float, float, float]:
     return float(np.degrees(yaw)), float(np.degrees(pitch)), float(np.degrees(roll))
 
 
+def angle_cells(row: CameraRow) -> list[str]:
+    """Yaw, pitch and roll for a table, degrees; three empty cells where they are not known."""
+    rotation = rotation_of(row)
+    return [""] * 3 if rotation is None else [f"{one:.5f}" for one in yaw_pitch_roll_deg(rotation)]
+
+
 def gimbal_deg(cam_from_enu: Array) -> tuple[float, float] | None:
     """Yaw and pitch of a DJI gimbal that holds the camera without roll; None where it is rolled by more than 3 degrees.
 

@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from skymoor.geometry import Intrinsics
-from skymoor.results.formats.angles import rotation_of, yaw_pitch_roll_deg
+from skymoor.results.formats.angles import angle_cells
 from skymoor.results.tables import CameraRow
 from skymoor.types import Camera
 
@@ -24,10 +24,8 @@ def metashape_reference(rows: Sequence[CameraRow], labels: Mapping[str, str]) ->
     """
     lines = [REFERENCE]
     for row in rows:
-        rotation = rotation_of(row)
-        angles = [f"{one:.5f}" for one in yaw_pitch_roll_deg(rotation)] if rotation is not None else [""] * 3
         metres = ["" if one is None else f"{one:.4f}" for one in (row.height, row.ce90, row.le90)]
-        lines.append(",".join([labels[row.image], f"{row.lon:.10f}", f"{row.lat:.10f}", *metres, *angles]))
+        lines.append(",".join([labels[row.image], f"{row.lon:.10f}", f"{row.lat:.10f}", *metres, *angle_cells(row)]))
     return "\n".join(lines) + "\n"
 
 

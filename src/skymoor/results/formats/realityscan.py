@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from skymoor.geometry import Intrinsics
-from skymoor.results.formats.angles import rotation_of, yaw_pitch_roll_deg
+from skymoor.results.formats.angles import angle_cells, yaw_pitch_roll_deg
 from skymoor.results.tables import CameraRow
 from skymoor.types import Array, Camera
 
@@ -24,11 +24,9 @@ def realityscan_flight_log(rows: Sequence[CameraRow], names: Mapping[str, str]) 
     """
     lines = [FLIGHT_LOG]
     for row in rows:
-        rotation = rotation_of(row)
-        angles = [f"{one:.5f}" for one in yaw_pitch_roll_deg(rotation)] if rotation is not None else [""] * 3
         height, ce90, le90 = ("" if one is None else f"{one:.4f}" for one in (row.height, row.ce90, row.le90))
         place = [f"{row.lon:.10f}", f"{row.lat:.10f}", height]
-        lines.append(",".join([names[row.image], *place, *angles, ce90, ce90, le90]))
+        lines.append(",".join([names[row.image], *place, *angle_cells(row), ce90, ce90, le90]))
     return "\n".join(lines) + "\n"
 
 
