@@ -4,10 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.setup
 DEV := $(VENV)/.dev
-SOURCES := src tests benchmarks docs
+SOURCES := src tests benchmarks docs qgis
 
 .DEFAULT_GOAL := help
-.PHONY: help setup dev demo test check docs wheel format clean
+.PHONY: help setup dev demo test check docs gallery qgis wheel format clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -58,10 +58,26 @@ wheel: $(SETUP) ## build the wheel, install it where nothing else is, and run th
 docs: $(DEV) ## build the documentation into site/; needs no network
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
+RUN ?= skymoor-demo/result
+
+skymoor-demo/result/summary.json:
+	$(MAKE) --no-print-directory demo
+
+gallery: $(DEV) $(RUN)/summary.json ## make the pictures of the documentation from RUN=DIR, by default the demo
+	PYTHONPATH=docs $(BIN)/python -m gallery $(RUN)
+
+qgis: ## zip the QGIS plugin into dist/skymoor_qgis.zip
+	rm -rf build/qgis dist/skymoor_qgis.zip
+	mkdir -p build/qgis dist
+	cp -r qgis/skymoor_qgis build/qgis/
+	rm -rf build/qgis/skymoor_qgis/__pycache__
+	cp LICENSE build/qgis/skymoor_qgis/
+	cd build/qgis && $(PYTHON) -m zipfile -c ../../dist/skymoor_qgis.zip skymoor_qgis
+
 format: $(DEV) ## format the sources
 	$(BIN)/ruff format $(SOURCES)
 	$(BIN)/ruff check --fix $(SOURCES)
 
 clean: ## remove caches and .venv
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis build site src/*.egg-info
-	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests qgis -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hook of mkdocs: fills the pages of options and of acceptance criteria from the code, to keep them up to date."""
+"""A hook of mkdocs: fills in options, acceptance criteria and the version from the code, to keep them up to date."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from dataclasses import is_dataclass
 from functools import cache, reduce
 from typing import Any
 
+from skymoor import __version__
 from skymoor.pipeline.option_docs import descriptions_of
 from skymoor.pipeline.option_parser import option_fields, option_names
 
-OPTIONS_MARK, CRITERIA_MARK = "<!-- options -->", "<!-- criteria -->"
+OPTIONS_MARK, CRITERIA_MARK, VERSION_MARK = "<!-- options -->", "<!-- criteria -->", "<!-- version -->"
 SCOPES = {
     "airborne": "Airborne photos",
     "walls": "Ground photos, method `walls`",
@@ -30,7 +31,7 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
         markdown = markdown.replace(OPTIONS_MARK, "\n".join(_option_tables(Options())))
     if CRITERIA_MARK in markdown:
         markdown = markdown.replace(CRITERIA_MARK, "\n".join(_criterion_tables()))
-    return markdown
+    return markdown.replace(VERSION_MARK, __version__)
 
 
 def _option_tables(options: Any) -> list[str]:

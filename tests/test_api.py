@@ -12,6 +12,7 @@ import cv2
 import geopandas
 import numpy as np
 import pytest
+from rasterio import Affine
 from scipy.spatial.transform import Rotation
 
 import skymoor
@@ -23,6 +24,7 @@ from skymoor.simulate.site import Site
 from skymoor.types import Raster
 from support.blocks import ground_points, observed, ring
 from support.finished import finished_run
+from support.given_models import write_las, write_raster
 from support.pictures import noise_picture
 from support.small_run import FASTER, SEED, rows_of
 from support.tiny_site import make_site
@@ -62,7 +64,8 @@ def test_public_names_do_not_depend_on_what_was_imported_before(first: str) -> N
 
 
 def test_what_is_public_is_listed_and_documented() -> None:
-    assert {"register", "read", "match_rasters", "lift", "render_nadir", "Result", "InputError"} <= set(dir(skymoor))
+    public = {"register", "read", "read_reference", "match_rasters", "lift", "render_nadir", "Result", "InputError"}
+    assert public | {"render_orthophoto"} <= set(dir(skymoor))
     assert dir(skymoor) == sorted(dir(skymoor)) == sorted(skymoor.__all__)
     assert all(getattr(skymoor, name).__doc__ for name in dir(skymoor) if name != "__version__")
     with pytest.raises(AttributeError, match="no attribute 'rigister'"):
@@ -148,6 +151,23 @@ def test_two_rasters_of_different_sizes_do_not_match() -> None:
     small, large = (Raster(noise_picture((n, n)), np.ones((n, n), bool)) for n in (40, 300))
     with pytest.raises(skymoor.SkymoorError, match="too small"):
         skymoor.match_rasters(large, small, min_scale=0.9, max_scale=1.0)
+
+
+def test_an_orthophoto_is_a_render_in_its_own_units(tmp_path: Path) -> None:
+    rgb, heights = noise_picture((60, 80)), np.full((60, 80), 7.5, np.float32)
+    heights[20:30, 40:50] = 9.0
+    grid = Affine(0.25, 0, 100.0, 0, -0.25, 50.0)
+    ortho = write_raster(tmp_path / "a.tif", rgb.transpose(2, 0, 1), grid)
+    render = skymoor.render_orthophoto(ortho, write_raster(tmp_path / "b.tif", heights[None], grid))
+    assert render.view.pixel == 0.25 and np.array_equal(render.rgb, rgb)
+    np.testing.assert_allclose(render.xyz[30, 40], [0.125, -0.125, 0.0], atol=1e-6)  # beside the middle, on the ground
+    np.testing.assert_allclose(render.xyz[25, 45], [1.375, 1.125, 1.5], atol=1e-6)
+    assert not np.nan_to_num(skymoor.render_orthophoto(ortho).xyz[..., 2]).any()  # without heights, a plane
+    with pytest.raises(skymoor.InputError, match=r"none\.tif"):
+        skymoor.render_orthophoto(tmp_path / "none.tif")
+    points = np.random.default_rng(0).uniform(0, 50, (4000, 3)) * [1, 1, 0.1]
+    with pytest.raises(skymoor.InputError, match=r"cloud\.las: is no orthophoto"):
+        skymoor.render_orthophoto(write_las(tmp_path / "cloud.las", points))
 
 
 def test_a_component_is_levelled() -> None:

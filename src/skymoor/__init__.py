@@ -2,9 +2,9 @@
 """skymoor georegisters 3D models from photos without metadata.
 
 For notebooks and scripts: `register` is the whole job, `register_model` the same for a model that exists already,
-`read` loads what a run wrote, and all return a `Result`. The single steps are functions, too: `match_rasters`, `lift`,
-`register_matches`, `level_component`, `render_nadir`. All of them are imported when they are first used, so that
-`import skymoor` costs nothing.
+`read` loads what a run wrote, and all return a `Result`. The single steps are functions, too: `read_reference`,
+`render_orthophoto`, `nadir_raster`, `reference_raster`, `match_rasters`, `lift`, `register_matches`, `level_component`,
+`render_nadir`. All of them are imported when they are first used, so that `import skymoor` costs nothing.
 """
 
 # pycolmap exports its static zlib symbols; unless the system's zlib is loaded first, a later PNG write
@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from skymoor.api import RasterMatch, level_component, match_rasters, register
-    from skymoor.api_models import register_model
+    from skymoor.api_models import register_model, render_orthophoto
     from skymoor.errors import BackendUnavailable, InputError, SkymoorError
+    from skymoor.match.rasters import nadir_raster, reference_raster
     from skymoor.model.views import render_nadir
+    from skymoor.reference.read import read_reference
     from skymoor.registration import lift
     from skymoor.registration import register as register_matches
     from skymoor.results.read import Result, read
@@ -37,14 +39,18 @@ _HOMES = {
     "level_component": "api",
     "lift": "registration.lift",
     "match_rasters": "api",
+    "nadir_raster": "match.rasters",
     "plot_cameras": "results.report.plots",
     "plot_residuals": "results.report.plots",
     "plot_stages": "results.report.plots",
     "read": "results.read",
+    "read_reference": "reference.read",
+    "reference_raster": "match.rasters",
     "register": "api",
     "register_matches": "registration.airborne:register",
     "register_model": "api_models",
     "render_nadir": "model.views",
+    "render_orthophoto": "api_models",
 }
 """Where each public name is defined, and what it is called there if that differs."""
 
@@ -59,14 +65,18 @@ __all__ = [
     "level_component",
     "lift",
     "match_rasters",
+    "nadir_raster",
     "plot_cameras",
     "plot_residuals",
     "plot_stages",
     "read",
+    "read_reference",
+    "reference_raster",
     "register",
     "register_matches",
     "register_model",
     "render_nadir",
+    "render_orthophoto",
 ]
 
 

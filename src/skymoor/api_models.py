@@ -8,9 +8,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from skymoor.api import Where, finished, ignore, paths_of, site_of
 from skymoor.errors import InputError
-from skymoor.models import GivenModel, read_model
+from skymoor.model.views import RenderOptions
+from skymoor.models import GivenModel, Plan, read_model
+from skymoor.models.render import level_of, render_given
 from skymoor.pipeline.addressed import with_files
 from skymoor.pipeline.control import control_of, with_control
 from skymoor.pipeline.given_model import register_given
@@ -27,7 +31,7 @@ from skymoor.results.read import Result
 from skymoor.results.request import GIVEN
 from skymoor.results.write import SetResult
 from skymoor.store import Store
-from skymoor.types import Image, Photos
+from skymoor.types import Image, Photos, Render
 
 
 def register_model(
@@ -106,6 +110,23 @@ def register_model(
     site = replace(site, control=control_with_arguments(None, *stated, use=use_control))
     site = replace(site, photos=None if photos is None else Path(photos))
     return register_again(site, out=out, options=options, seed=seed, progress=progress, note=note)
+
+
+def render_orthophoto(ortho: Where, dsm: Where | None = None, *, seed: int = 0) -> Render:
+    """An orthophoto whose place is not known, as the view from above that `match_rasters` and `lift` take.
+
+    Its level frame is in units of the file, with the middle of the orthophoto as its origin, rows along x, and z = 0 at
+    the ground. Without a DSM it is a plane. A DSM counts only where both files have a geotransform, which states the
+    size of a pixel in the unit of the heights, whatever place and CRS it claims.
+
+    Raises:
+        InputError: a file cannot be read, or the two do not belong together.
+    """
+    given = read_model(paths_of(ortho if dsm is None else [ortho, dsm]))
+    if not isinstance(given.surface, Plan):
+        raise InputError(f"{ortho}: is no orthophoto; give an image, and its DSM as the second file")
+    level_from_model, _ = level_of(given.surface, given.up, np.random.default_rng(seed))
+    return render_given(given.surface, level_from_model, RenderOptions())
 
 
 def register_again(

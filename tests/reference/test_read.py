@@ -12,9 +12,11 @@ import rasterio
 from numpy.typing import NDArray
 from pyproj import Transformer
 from rasterio.enums import ColorInterp
+from rasterio.env import get_gdal_config
 
 from skymoor.errors import InputError
 from skymoor.geo.datum import ToEllipsoid
+from skymoor.reference.raster import opened
 from skymoor.reference.read import read_reference
 from support.map_scene import (
     DEGREE_M,
@@ -317,3 +319,10 @@ class TestBadInput:
     def test_covariance(self, ortho: Path, dsm: Path) -> None:
         with pytest.raises(InputError, match="positive definite"):
             read_reference(ortho, dsm, "ellipsoid", [[1, 2, 0], [2, 1, 0], [0, 0, 1]])
+
+
+def test_the_cache_of_gdal_holds_whole_tiles(tmp_path: Path) -> None:
+    """With less, every line of a tiled raster decodes its tiles again. rasterio takes a number for bytes."""
+    path = write_ortho(tmp_path)
+    with rasterio.Env(), opened(path):  # where there is an environment around it, its settings stay
+        assert int(get_gdal_config("GDAL_CACHEMAX")) >= 64 * 2**20

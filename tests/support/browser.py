@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -70,3 +71,14 @@ def found_by(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
     assert text is not None and text[1], done.stderr[-2000:]
     found: dict[str, Any] = json.loads(text[1].replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&"))
     return found
+
+
+def outside(log: Path) -> set[str]:
+    """Hosts other than this machine that pages asked for, by the log that --log-net-log=FILE makes."""
+    started = [
+        event["params"]
+        for event in json.loads(log.read_text(encoding="utf-8"))["events"]
+        if "url" in event.get("params", {}) and str(event["params"].get("initiator", "")).startswith("http")
+    ]
+    assert started  # or the log would prove nothing
+    return {str(urlsplit(one["url"]).hostname) for one in started} - {"127.0.0.1"}

@@ -12,12 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Transformer
 from pyproj.aoi import AreaOfInterest
 from pyproj.crs import CompoundCRS
-from pyproj.datadir import get_user_data_dir  # type: ignore[attr-defined]
 from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import TransformerGroup
 
 from skymoor.errors import InputError
-from skymoor.geo.operations import EXACT, Operation, missing_grids, operation_of, operations_between
+from skymoor.geo.operations import EXACT, Operation, needed_grid, operation_of, operations_between
 
 Array = NDArray[np.float64]
 
@@ -163,14 +162,10 @@ def _operations(vertical: CRS, vertical_datum: str, lat: Array, lon: Array) -> T
         raise InputError(f"vertical datum {vertical_datum} ({vertical.name}) cannot be used: {error}") from None
     if group.transformers:
         return group
-    files = missing_grids(group)
-    if not files:
+    grid = needed_grid(group)
+    if not grid:
         raise InputError(
             f"vertical datum {vertical_datum} ({vertical.name}): PROJ has no transformation from it to "
             "ellipsoidal heights at the site; convert the DSM to ellipsoidal heights, or check the code"
         )
-    others = f" (or one of {', '.join(files[1:5])})" if len(files) > 1 else ""
-    raise InputError(
-        f"vertical datum {vertical_datum} ({vertical.name}) needs the geoid grid {files[0]}{others}, which is not "
-        f"installed: run `skymoor grids fetch {files[0]}`, or put the file into {get_user_data_dir()}"
-    )
+    raise InputError(f"vertical datum {vertical_datum} ({vertical.name}) needs the geoid grid {grid}")

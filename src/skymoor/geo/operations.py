@@ -106,6 +106,16 @@ def missing_grids(group: TransformerGroup) -> list[str]:
     return list(dict.fromkeys(grids[0].short_name for grids in missing if grids))
 
 
+def needed_grid(group: TransformerGroup) -> str:
+    """The grid that a group without an installed operation needs, and how to get it; empty where no grid would help."""
+    files = missing_grids(group)
+    if not files:
+        return ""
+    others = f" (or one of {', '.join(files[1:5])})" if len(files) > 1 else ""
+    remedy = f"run `skymoor grids fetch {files[0]}`, or put the file into {get_user_data_dir()}"
+    return f"{files[0]}{others}, which is not installed: {remedy}"
+
+
 def lacking(operation: Any) -> list[Any]:
     """The grids of an operation that are not installed."""
     return [grid for grid in operation.grids if not grid.available]

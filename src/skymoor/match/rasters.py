@@ -10,7 +10,7 @@ from skymoor.types import Raster, Reference, Render
 FLAT_M = 0.05
 
 
-def nadir_raster(render: Render, min_confidence: float) -> Raster:
+def nadir_raster(render: Render, min_confidence: float = 0.3) -> Raster:
     """The render with heights in units of its pixel, NaN where their confidence (0 to 1) is below `min_confidence`."""
     heights = render.xyz[..., 2] / np.float32(render.view.pixel)
     confident = render.confidence >= min_confidence

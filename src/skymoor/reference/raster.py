@@ -29,7 +29,8 @@ from skymoor.geo.datum import horizontal_part, vertical_unit_of
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-GDAL_CACHE_MB = 256
+# Bytes, as rasterio takes a number; GDAL itself would take a small one for megabytes.
+GDAL_CACHE_BYTES = 256 * 2**20
 # Largest strip or tile of a raster: GDAL decodes whole ones.
 LARGEST_BLOCK_BYTES = 512e6
 
@@ -148,7 +149,7 @@ def opened(path: Path) -> Iterator[DatasetReader]:
         # A raster without a position is an error that names it, not a warning.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         # GDAL reports the vertical CRS of older GeoTIFFs on request only.
-        with rasterio.Env(GTIFF_REPORT_COMPD_CS=True, GDAL_CACHEMAX=GDAL_CACHE_MB):
+        with rasterio.Env(GTIFF_REPORT_COMPD_CS=True, GDAL_CACHEMAX=GDAL_CACHE_BYTES):
             source = rasterio.open(path)
     with source:
         yield source

@@ -68,17 +68,21 @@ def surface_accuracy(item: ComponentResult, reference: Reference) -> dict[str, A
     """Accuracy of a component's surface, each with and without the reference's error.
 
     Covariances (3, 3) are means over its points, m^2 east-north-up; CE90 and LE90 are those of them, metres. What is
-    absolute is NaN where the accuracy of the reference is unknown. None for ground components, whose accuracy is that
-    of the airborne one and their own.
+    absolute is NaN where the accuracy of the reference is unknown. `similarity_covariance` (7, 7) is that of the
+    logarithm of the scale, the rotation vector and the shift at `centroid_enu`. None for ground components, whose
+    accuracy is that of the airborne one and their own.
     """
-    if item.base is not None or item.registration.covariance is None or not len(item.component.points):
+    found = item.registration
+    if item.base is not None or found.covariance is None or not len(item.component.points):
         return None
     points = _of_surface(item, reference)
-    found = CameraAccuracy(*(part.mean(axis=0, keepdims=True) for part in (points.shared, points.relative)))
+    mean = CameraAccuracy(*(part.mean(axis=0, keepdims=True) for part in (points.shared, points.relative)))
     names = ("ce90_m", "le90_m", "relative_ce90_m", "relative_le90_m")
-    known = reference.accuracy_known or item.registration.absolute is not None
+    known = reference.accuracy_known or found.absolute is not None
     covariances = {
-        "covariance_m2": found.total[0] if known else None,
-        "relative_covariance_m2": found.relative[0],
+        "covariance_m2": mean.total[0] if known else None,
+        "relative_covariance_m2": mean.relative[0],
+        "similarity_covariance": found.covariance if found.absolute is None else found.absolute[:7, :7],
+        "centroid_enu": found.centroid_enu,
     }
-    return covariances | dict(zip(names, figures_of(found)[0].tolist(), strict=True))
+    return covariances | dict(zip(names, figures_of(mean)[0].tolist(), strict=True))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from skymoor.errors import InputError
@@ -67,6 +68,21 @@ def mosaic_of(result: Result, max_pixels: float = 1e6) -> Mosaic:
     except InputError as error:
         return Mosaic(grid, satellite, height, note=note or str(error))
     return Mosaic(grid, satellite, height, model, mask, up, note)
+
+
+def confidence_on(result: Result, grid: Grid) -> NDArray[np.uint8] | None:
+    """Confidence of the run's heights (h, w) in percent, 0 where unknown or interpolated; None where there is none."""
+    path = result.folder / "confidence.tif"
+    if not path.is_file():
+        return None
+    try:
+        at, _, step = _lookup(MapRaster.of(path), grid, result.frame)
+        with opened(path) as source:
+            percent = np.nan_to_num(read_heights(source, Window(0, 0, source.width, source.height), step))
+    except InputError:
+        return None
+    found = cv2.remap(percent.astype(np.uint8), at, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+    return np.asarray(found, np.uint8)
 
 
 def _reference(result: Result, max_pixels: float) -> tuple[Reference | None, str]:

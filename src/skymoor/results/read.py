@@ -17,7 +17,7 @@ from skymoor.errors import InputError
 from skymoor.evaluate import EvaluationRow, evaluate
 from skymoor.geo import UNKNOWN_ACCURACY, EnuFrame
 from skymoor.geometry import Similarity
-from skymoor.results.report.table import summary_html
+from skymoor.results.geodataframes import Layer, geodataframe
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow, read_camera_rows, read_cameras_csv, read_truth_csv
 from skymoor.types import Array, HeightStatus
 
@@ -190,23 +190,40 @@ class Result:
         pandas = require("pandas", "table")
         return pandas.DataFrame.from_records([asdict(row) for row in self.cameras], columns=CAMERA_COLUMNS)
 
-    def to_geodataframe(self) -> geopandas.GeoDataFrame:
+    def to_geodataframe(self, layer: Layer = "cameras") -> geopandas.GeoDataFrame:
         """The same with points of WGS 84 longitude, latitude, height (EPSG:4979), none where not registered.
 
-        Raises `BackendUnavailable` where geopandas is missing.
+        The other `layer`, "footprints", is the outline on the ground of each photo (EPSG:4326), as `skymoor export`
+        writes it. Raises `BackendUnavailable` where geopandas is missing.
         """
-        geopandas, table = require("geopandas", "table"), self.to_dataframe()
-        numbers = table[["lon", "lat", "height"]].astype(float)
-        points = geopandas.points_from_xy(numbers["lon"], numbers["lat"], numbers["height"])
-        known = numbers["lat"].notna()
-        return geopandas.GeoDataFrame(table, geometry=geopandas.GeoSeries(points).where(known), crs="EPSG:4979")
+        return geodataframe(self, layer)
+
+    def to_crs(self, crs: Any, layer: Layer = "cameras") -> geopandas.GeoDataFrame:
+        """`to_geodataframe` in another CRS: "EPSG:32632", or with a vertical datum "EPSG:32632+3855".
+
+        Geometries have the axes of the CRS, x (east, longitude) first: in a two-dimensional one they are points without
+        a height, in a compound or 3D one z is in its vertical datum and unit, and NaN where heights are not confirmed.
+        Footprints have no heights. The columns lat, lon and height stay WGS 84.
+
+        Args:
+            crs: anything that pyproj takes for a CRS.
+            layer: "cameras" or "footprints".
+
+        Raises:
+            InputError: the CRS is not known, is not defined at the site, or needs a grid that is not installed; one
+                line names it. No transformation is replaced by a coarser one that leaves out a shift of the datum.
+            BackendUnavailable: geopandas is missing.
+        """
+        return geodataframe(self, layer, crs)
 
     def __repr__(self) -> str:
         lines = [f"{self.summary.get('site', '')}: result in {self.folder}"]
         return "\n".join([*lines, *(f"  {one}" for one in self.components)])
 
     def _repr_html_(self) -> str:
-        return summary_html(self.summary)
+        from skymoor.results.report.notebook import result_html  # here, since it reads results itself
+
+        return result_html(self)
 
 
 def _places(image_set: dict[str, Any], image: str) -> list[Path]:

@@ -55,7 +55,7 @@ def component_details(item: ComponentResult, ellipses: dict[str, dict[str, Any]]
     ENU metres, and how many photos show each cell, row by row from north to south; None where it is not known.
     """
     counts = overlap_of(item)
-    nothing = {"ellipse_90": None, "relative_ellipse_90": None}
+    nothing = dict.fromkeys(("ellipse_90", "relative_ellipse_90", "covariance_m2", "relative_covariance_m2"))
     photos = photo_figures(item.component, scale_of(item))
     return {
         "photos": [one | ellipses.get(one["image"], nothing) for one in photos],
@@ -164,9 +164,14 @@ def error_ellipse(covariance: Array) -> list[float] | None:
 
 
 def ellipses_of(images: Sequence[str], total: Array, relative: Array) -> dict[str, dict[str, Any]]:
-    """Error ellipses of photos by name, on Earth and relative to the reference, of covariances (n, 3, 3)."""
+    """Covariances (n, 3, 3) of photos by name and their ellipses, on Earth and relative to the reference."""
     return {
-        image: {"ellipse_90": error_ellipse(a), "relative_ellipse_90": error_ellipse(b)}
+        image: {
+            "ellipse_90": error_ellipse(a),
+            "relative_ellipse_90": error_ellipse(b),
+            "covariance_m2": a.tolist() if np.isfinite(a).all() else None,
+            "relative_covariance_m2": b.tolist() if np.isfinite(b).all() else None,
+        }
         for image, a, b in zip(images, total, relative, strict=True)
     }
 

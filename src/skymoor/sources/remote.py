@@ -22,7 +22,7 @@ from skymoor.sources.addresses import failed_tile, public_address, reads_network
 
 TIMEOUT_S = 30
 RETRIES = 3
-CACHE_MB = 256
+CACHE_BYTES = 256 * 2**20  # as rasterio takes a number; GDAL would take a small one for megabytes
 # Either says who asks: then requests are signed, else public buckets are read without.
 _AWS_KEYS = (
     *("AWS_NO_SIGN_REQUEST", "AWS_ACCESS_KEY_ID", "AWS_PROFILE", "AWS_ROLE_ARN", "AWS_WEB_IDENTITY_TOKEN_FILE"),
@@ -48,7 +48,7 @@ def settings() -> dict[str, Any]:
         "GDAL_HTTP_CONNECTTIMEOUT": TIMEOUT_S,
         "GDAL_HTTP_MAX_RETRY": RETRIES,
         "GDAL_HTTP_RETRY_DELAY": 1,
-        "GDAL_CACHEMAX": CACHE_MB,
+        "GDAL_CACHEMAX": CACHE_BYTES,
         "GTIFF_REPORT_COMPD_CS": True,
         # A server may have replaced a file since it was read last.
         "CPL_VSIL_CURL_NON_CACHED": "/vsicurl/:/vsis3/:/vsigs/",

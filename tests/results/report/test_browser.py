@@ -4,16 +4,21 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pyproj import Transformer
 
+from skymoor.geo import EnuFrame
 from skymoor.results.read import Result
+from skymoor.results.report.maps import OPENSTREETMAP
 from skymoor.results.report.page import report_page
 from skymoor.results.report.pdf import print_report
 from skymoor.results.report.words import NONE
-from support.browser import complaints, found_by, needs_chromium, opened, served
+from support.browser import complaints, found_by, needs_chromium, opened, outside, served
 from support.finished import finished_run
 
 # A frame of the wanted width, because windows have a least one; what it finds is written where --dump-dom shows it.
@@ -55,6 +60,20 @@ SORTS = """
   found.before = [...table.tBodies[0].rows].length;
   found.points = sorted(9); found.again = sorted(9); found.image = sorted(0);
   put();
+"""
+TILES = """
+  found.first = page.querySelectorAll("#tiles image").length;
+  page.getElementById("basemap").click();
+  const shown = () => [...page.querySelectorAll("#tiles image")].map((one) =>
+    [one.getAttribute("href"), ...one.getAttribute("transform").slice(7, -1).split(" ").map(Number)]);
+  found.tiles = shown();
+  found.box = page.getElementById("chart").getAttribute("viewBox").split(" ").map(Number);
+  const credit = page.getElementById("credit");
+  found.credit = credit.getBoundingClientRect().height > 4 && credit.textContent;
+  page.querySelector("[data-zoom='0.7']").click(); page.querySelector("[data-zoom='0.7']").click();
+  page.querySelector("[data-zoom='0.7']").click();
+  found.finer = shown().map((one) => one[0]);
+  setTimeout(() => { found.lost = !page.getElementById("lost").hidden; put(); }, 1500);
 """
 HEARD = """
   const script = page.createElement("script");
@@ -126,3 +145,50 @@ def test_it_is_printed_on_a_few_pages(page: str, tmp_path: Path) -> None:
     (tmp_path / "report.html").write_text(page, encoding="utf-8")
     content = print_report(tmp_path).read_bytes()
     assert 5 <= content.count(b"/Type /Page\n") <= 20
+
+
+@needs_chromium
+@pytest.mark.parametrize("clicked", [False, True])
+def test_a_background_map_is_asked_for_by_the_click_alone(page: str, tmp_path: Path, clicked: bool) -> None:
+    log = tmp_path / "net.json"
+    checks = TILES if clicked else WORKS
+    with served({"/report.html": page, "/": harness(1280, checks)}) as (address, _):
+        opened(address, tmp_path, f"--log-net-log={log}")
+    assert outside(log) == ({"tile.openstreetmap.org"} if clicked else set())
+
+
+def _tile_corner(x: float, y: float, z: int) -> tuple[float, float]:
+    """Longitude and latitude of the north-western corner of a tile, by PROJ."""
+    half = np.pi * 6378137.0
+    metres = -half + 2 * half * x / 2**z, half - 2 * half * y / 2**z
+    return Transformer.from_crs("EPSG:3857", "EPSG:4326", always_xy=True).transform(*metres)
+
+
+@needs_chromium
+def test_tiles_are_those_of_the_place_and_lie_there(page: str, tmp_path: Path) -> None:
+    here = page.replace(OPENSTREETMAP.tiles, "/tiles/{z}/{x}/{y}.png")
+    with served({"/report.html": here, "/": harness(1280, TILES)}) as (address, asked):
+        found = found_by(opened(address, tmp_path))
+    assert found["first"] == 0 and found["lost"] and "OpenStreetMap contributors" in found["credit"]
+    assert {one[0] for one in found["tiles"]} <= set(asked)
+    origin = re.search(r'data-lat="([^"]+)" data-lon="([^"]+)"', page)
+    assert origin is not None
+    frame = EnuFrame(float(origin[1]), float(origin[2]), 500.0)
+    numbers = []
+    for href, xx, xy, yx, yy, x0, y0 in found["tiles"]:
+        z, x, y = map(int, href[len("/tiles/") : -len(".png")].split("/"))
+        numbers.append((z, x, y))
+        for (right, down), at in {(0, 0): (x0, y0), (1, 0): (x0 + xx, y0 + xy), (0, 1): (x0 + yx, y0 + yy)}.items():
+            lon, lat = _tile_corner(x + right, y + down, z)
+            enu = frame.enu_from_lla(lat, lon, 500.0)[0]
+            np.testing.assert_allclose(at, [enu[0], -enu[1]], atol=0.02)
+    west, top, width, height = found["box"]
+    corners = frame.lla_from_enu([[west, -top, 0.0], [west + width, -top - height, 0.0]])
+    (z,) = {one[0] for one in numbers}
+    to_metres = Transformer.from_crs("EPSG:4326", "EPSG:3857", always_xy=True)
+    size = 2 * np.pi * 6378137.0 / 2**z
+    (left, upper), (right, lower) = (to_metres.transform(lla[1], lla[0]) for lla in corners)
+    columns = range(int((left + size * 2**z / 2) // size), int((right + size * 2**z / 2) // size) + 1)
+    rows = range(int((size * 2**z / 2 - upper) // size), int((size * 2**z / 2 - lower) // size) + 1)
+    assert set(numbers) == {(z, x, y) for x in columns for y in rows}
+    assert {int(one.split("/")[2]) for one in found["finer"]} <= {z, z + 1, z + 2} and z <= OPENSTREETMAP.finest

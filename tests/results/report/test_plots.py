@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import base64
 import csv
+import re
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,6 +17,7 @@ import pytest
 import skymoor
 from skymoor import plot_cameras, plot_residuals, plot_stages
 from skymoor.results.read import Result
+from skymoor.results.report.table import summary_html
 from support.finished import HOSTILE, finished_run
 
 
@@ -23,16 +27,71 @@ def result(tmp_path: Path) -> Result:
 
 
 def test_the_table_says_every_set_and_escapes_it(result: Result) -> None:
-    table = result._repr_html_()
+    table = summary_html(result.summary)
     assert HOSTILE not in table and "<script" not in table and "&lt;script&gt;" in table
     assert table.count("<tr>") == 1 + 4  # two ground components, and the set that was lost
     for words in ("2.10", "3.80", "no wall fits", "no two photos agree", "ground1"):
         assert words in table
 
 
+def test_a_notebook_shows_verdict_table_and_map_without_a_network(result: Result) -> None:
+    shown = result._repr_html_()
+    words, _, page = shown.partition("<table>")
+    assert "Registered in part: 1 of 4 components have an accepted position." in words
+    assert "airborne_0: Nine of ten cameras are expected within 2.1 m in plan and 3.8 m in height of the truth" in words
+    assert "ground0_0: Refused: no wall fits." in words and "ground1: Refused: no two photos agree." in words
+    assert summary_html(result.summary) in shown and HOSTILE not in words
+    # Plotly's script is in it, and the orthophoto; nothing is loaded from elsewhere.
+    assert "Plotly.newPlot" in page and "data:image/png;base64," in page
+    assert not re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=", page)
+
+
+def test_the_verdict_of_all_or_nothing(tmp_path: Path) -> None:
+    (tmp_path / "none").mkdir()
+    refused = Result.read(finished_run(tmp_path / "none", registered=False))._repr_html_()
+    assert "Not registered: no position was accepted." in refused and "Plotly" not in refused
+    result = Result.read(finished_run(tmp_path))
+    result.summary["sets"] = result.summary["sets"][:1]
+    placed = replace(result, components=result.components[:1])._repr_html_()
+    assert "Registered: every component has an accepted position." in placed
+
+
+def test_words_and_table_are_there_without_the_map(result: Result, monkeypatch: pytest.MonkeyPatch) -> None:
+    (result.folder / "cameras.csv").write_text("damaged", encoding="utf-8")
+    damaged = result._repr_html_()
+    assert "Registered in part" in damaged and "<table>" in damaged and "Plotly" not in damaged
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    assert "Plotly" not in Result.read(result.folder)._repr_html_()
+
+
+def test_circles_have_the_radius_of_ce90(result: Result) -> None:
+    _, circles = plot_cameras(result).data
+    assert circles.name == "CE90" and circles.mode == "lines"
+    xy = np.column_stack([circles.x, circles.y]).reshape(9, -1, 2)[:, :-1]  # a gap after each
+    places = np.array([[row.east, row.north] for row in result.registered_cameras])
+    np.testing.assert_allclose(np.linalg.norm(xy - places[:, None], axis=2), 2.1, atol=1e-9)
+    on_map, around = plot_cameras(result, basemap=True).data
+    np.testing.assert_allclose(on_map.lat, [row.lat for row in result.registered_cameras])
+    here = np.column_stack([around.lat, around.lon]).reshape(9, -1, 2)[:, :-1]
+    enu = result.frame.enu_from_lla(*here.reshape(-1, 2).T, 0.0)[:, :2].reshape(here.shape)
+    np.testing.assert_allclose(enu, xy, atol=0.02)
+
+
+def test_tiles_are_asked_for_only_with_a_basemap(result: Result) -> None:
+    assert not plot_cameras(result).layout.map.style
+    figure = plot_cameras(result, basemap=True)
+    assert figure.layout.map.style == "open-street-map" and 14 < figure.layout.map.zoom < 22
+    (layer,) = figure.layout.map.layers
+    west, north = layer.coordinates[0]
+    assert west == pytest.approx(11.0 - 40 / 74_600, abs=5e-5) and north == pytest.approx(48.0 + 40 / 111_200, abs=5e-5)
+    bare = replace(result, summary=result.summary | {"sets": []})
+    (result.folder / "ortho.tif").unlink()
+    assert not plot_cameras(bare, basemap=True).layout.map.layers
+
+
 def test_the_map_has_the_cameras_of_the_table(result: Result) -> None:
     figure = plot_cameras(result)
-    (trace,) = figure.data
+    trace, _ = figure.data
     placed = [row for row in result.cameras if row.east is not None]
     np.testing.assert_array_equal(trace.x, [row.east for row in placed])
     np.testing.assert_array_equal(trace.y, [row.north for row in placed])

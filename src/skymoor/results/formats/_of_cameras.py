@@ -40,17 +40,18 @@ def geojson(source: Source, folder: Path) -> str:
 
 def gpkg(source: Source, folder: Path) -> str:
     """Cameras and footprints as layers of one GeoPackage."""
-    write_geopackage(folder / "cameras.gpkg", source.rows, _footprints(source))
+    write_geopackage(folder / "cameras.gpkg", source.rows, run_footprints(source))
     return ELLIPSOID
 
 
 def geoparquet(source: Source, folder: Path) -> str:
     """Footprints as GeoParquet."""
-    write_geoparquet(folder / "footprints.parquet", source.rows, _footprints(source))
+    write_geoparquet(folder / "footprints.parquet", source.rows, run_footprints(source))
     return "none in the geometry; up of the origin in the columns up and ground_up"
 
 
-def _footprints(source: Source) -> list[Footprint]:
+def run_footprints(source: Source) -> list[Footprint]:
+    """Of all photos that have one; a note says how many have none."""
     frame, path = source.result.frame, source.result.folder / "dsm.tif"
     heights = surface_heights(path, frame) if path.is_file() else no_heights
     found: list[Footprint] = []

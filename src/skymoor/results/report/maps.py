@@ -28,6 +28,33 @@ WIDEST_PX, FINEST_PX = 5.0, 0.6  # of lines of the match graph
 
 
 @dataclass(frozen=True)
+class Basemap:
+    """A web map in tiles of the Web Mercator projection, which the reader of a report may load behind its map.
+
+    Attributes:
+        host: whose connection is opened, as the button says.
+        tiles: address of a tile, with {z}, {x} and {y}.
+        finest: the largest zoom level that there is.
+        credit, terms: whom the map is from, and the address of the terms, which it is shown with.
+    """
+
+    host: str
+    tiles: str
+    finest: int
+    credit: str
+    terms: str
+
+
+OPENSTREETMAP = Basemap(
+    host="tile.openstreetmap.org",
+    tiles="https://tile.openstreetmap.org/{z}/{x}/{y}.png",
+    finest=19,
+    credit="OpenStreetMap contributors",
+    terms="https://www.openstreetmap.org/copyright",
+)
+
+
+@dataclass(frozen=True)
 class Drawing:
     """A map with what stands below it: its legend as pairs of colour and text, and a sentence."""
 

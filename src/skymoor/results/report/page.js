@@ -1,3 +1,51 @@
+// Tiles of a web map behind the chart. Nothing is asked for until the reader wants it: this is called by the click.
+const background = (chart, place, view, scale) => {
+  "use strict";
+  const svg = (name) => document.createElementNS("http://www.w3.org/2000/svg", name);
+  const [lat0, lon0] = [Number(place.lat), Number(place.lon)], rad = Math.PI / 180, most = 48, known = new Map();
+  // WGS 84: radii of curvature along the meridian and across it, for local metres that are right to centimetres.
+  const e2 = 0.00669437999014, [sin, cos] = [Math.sin(lat0 * rad), Math.cos(lat0 * rad)], w = 1 - e2 * sin * sin;
+  const across = 6378137 / Math.sqrt(w), along = (across * (1 - e2)) / w;
+  const metres = (lat, lon) => {
+    const [b, l] = [(lat - lat0) * rad, (lon - lon0) * rad];
+    return [across * cos * l - along * sin * b * l, -(along * b + (across * sin * cos * l * l) / 2)];
+  };
+  const corner = (x, y, z) => metres(Math.atan(Math.sinh(Math.PI * (1 - (2 * y) / 2 ** z))) / rad, (x / 2 ** z) * 360 - 180);
+  const tile = (x, y, z) => {
+    const lat = (lat0 - y / along / rad) * rad;
+    return [((lon0 + x / (across * cos) / rad + 180) / 360) * 2 ** z, ((1 - Math.asinh(Math.tan(lat)) / Math.PI) / 2) * 2 ** z];
+  };
+  const group = chart.insertBefore(svg("g"), chart.firstChild);
+  group.id = "tiles";
+  const ortho = document.getElementById("ortho");
+  if (ortho) ortho.classList.add("thin");
+  const failed = () => { document.getElementById("lost").hidden = false; };
+  const put = (x, y, z) => {
+    const [[x0, y0], [x1, y1], [x2, y2]] = [corner(x, y, z), corner(x + 1, y, z), corner(x, y + 1, z)], image = svg("image");
+    image.setAttribute("transform", `matrix(${[x1 - x0, y1 - y0, x2 - x0, y2 - y0, x0, y0].join(" ")})`);
+    for (const [name, value] of [["width", 1], ["height", 1], ["preserveAspectRatio", "none"]]) image.setAttribute(name, value);
+    image.addEventListener("error", failed);
+    image.setAttribute("href", place.tiles.replace("{z}", z).replace("{x}", x).replace("{y}", y));
+    return group.appendChild(image);
+  };
+  return () => {
+    const [west, top, width, height] = view();
+    let z = Math.round(Math.log2((2 * Math.PI * 6378137 * cos) / (256 * scale())));
+    z = Math.min(Math.max(z, 0), Number(place.finest)) + 1;
+    let range;
+    do {
+      z -= 1;
+      const [a, b] = [tile(west, top, z), tile(west + width, top + height, z)], last = 2 ** z - 1;
+      range = [a[0], a[1], b[0], b[1]].map((one) => Math.min(Math.max(Math.floor(one), 0), last));
+    } while (z > 0 && (range[2] - range[0] + 1) * (range[3] - range[1] + 1) > most);
+    for (const [key, image] of known) if (!key.startsWith(z + "/")) { image.remove(); known.delete(key); }
+    for (let x = range[0]; x <= range[2]; x += 1)
+      for (let y = range[1]; y <= range[3]; y += 1) {
+        const key = [z, x, y].join("/");
+        if (!known.has(key)) known.set(key, put(x, y, z));
+      }
+  };
+};
 // The map moves and tells; the slider uncovers. Without this script all figures are still there.
 (() => {
   "use strict";
@@ -51,8 +99,10 @@
   let box = whole.slice();
   frame.classList.add("scripted"); // the ruler follows the zoom, and the bar of the whole map is not needed
   const scale = () => Math.max(box[2] / chart.clientWidth, box[3] / chart.clientHeight); // metres per pixel
+  let laid = () => {}; // lays the background map anew, once there is one
   const show = () => {
     chart.setAttribute("viewBox", box.join(" "));
+    laid();
     const wish = 110 * scale();
     const power = 10 ** Math.floor(Math.log10(wish));
     const metres = [5, 2, 1].map((digit) => digit * power).find((one) => one <= wish) || power;
@@ -128,6 +178,16 @@
   document.getElementById("rings").addEventListener("change", (event) => frame.classList.toggle("no-rings", !event.target.checked));
   document.getElementById("relative").addEventListener("change", (event) => frame.classList.toggle("show-relative", event.target.checked));
   window.addEventListener("resize", show);
+  const basemap = document.getElementById("basemap");
+  basemap.hidden = false; // without scripts it could do nothing
+  basemap.addEventListener("click", () => {
+    laid = background(chart, basemap.dataset, () => box, scale);
+    basemap.hidden = true;
+    const credit = document.getElementById("credit");
+    credit.querySelector("a").href = basemap.dataset.terms;
+    credit.hidden = false;
+    laid();
+  });
   window.addEventListener("beforeprint", () => zoom(0)); // the printed scale bar is that of the whole map
   show();
 })();

@@ -22,7 +22,15 @@ from skymoor.results.report import words
 from skymoor.results.report.control import control_parts
 from skymoor.results.report.figures import histogram
 from skymoor.results.report.images import data_uri, file_uri
-from skymoor.results.report.maps import ellipse, enlarged_words, enlargement, furniture, length_words, scale_length
+from skymoor.results.report.maps import (
+    OPENSTREETMAP,
+    ellipse,
+    enlarged_words,
+    enlargement,
+    furniture,
+    length_words,
+    scale_length,
+)
 from skymoor.results.report.surfaces import height_differences, shaded_surface
 from skymoor.results.report.survey import (
     accuracy_rows,
@@ -100,6 +108,7 @@ def report_page(result: Result) -> str:
         control=control_parts(result.summary),
         mosaic=mosaic,
         map=_map(result, mosaic),
+        basemap=OPENSTREETMAP,
         satellite=None if mosaic.satellite is None else data_uri(mosaic.satellite),
         swipe=_swipe(mosaic),
         overview=summary_rows(result),

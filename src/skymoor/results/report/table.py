@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A finished run as a notebook shows it: one small table in HTML that needs nothing else."""
+"""The components of a finished run as one small table in HTML that needs nothing else."""
 
 from __future__ import annotations
 

@@ -13,30 +13,18 @@ from math import atan
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skymoor.errors import InputError
-from skymoor.geo import Grid
 from skymoor.results.read import ComponentSummary, Result
 from skymoor.results.tables import CameraRow
-from skymoor.types import Array, Array32, Image
+from skymoor.results.viewer.splats import Splats, splats_of
+from skymoor.results.viewer.surfaces import LEVELS, Layer, cloud_of, surfaces_of
+from skymoor.types import Array
 
 if TYPE_CHECKING:
     import pycolmap
 
-MAX_POINTS = 400_000
-MAX_VERTICES = 160_000
 FOV_RAD = 1.0  # where the COLMAP model is gone
-
-
-@dataclass(frozen=True, eq=False)
-class Layer:
-    """Coloured points, or the triangles between them: `faces` (m, 3) is None for a cloud."""
-
-    name: str
-    points: Array32
-    colours: NDArray[np.uint8]
-    faces: NDArray[np.int32] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,34 +38,22 @@ class Frustum:
     aspect: float
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """Layers, cameras by their component, and what is missing and why."""
-
-    layers: tuple[Layer, ...]
-    cameras: dict[str, tuple[Frustum, ...]]
-    notes: tuple[str, ...]
-
-
-Part = Layer | dict[str, tuple[Frustum, ...]] | str
-"""Of a scene: a layer, the cameras of a component, or a line about what is missing and why."""
-
-
-def scene_of(result: Result) -> Scene:
-    """Everything of a run that can be seen. Raises `InputError` where nothing of it is on Earth."""
-    parts = list(parts_of(result))
-    cameras: dict[str, tuple[Frustum, ...]] = {}
-    for part in parts:
-        cameras |= part if isinstance(part, dict) else {}
-    layers = tuple(part for part in parts if isinstance(part, Layer))
-    return Scene(layers, cameras, tuple(part for part in parts if isinstance(part, str)))
+Cameras = dict[str, tuple[Frustum, ...]]
+Part = Layer | Splats | Cameras | str
+"""Of a scene: a layer, splats, the cameras of a component, or a line about what is missing and why."""
 
 
 def parts_of(result: Result) -> Iterator[Part]:
-    """The same one by one, what takes long to load last. Raises `InputError` at the end where there was nothing."""
+    """All that can be seen of a run, what takes long to load last: coarse surfaces, cameras, clouds, fine surfaces.
+
+    Raises `InputError` at the end where nothing was on Earth.
+    """
     empty = True
-    for part in chain(_components(result), _cloud(result), _surfaces(result)):
-        seen = any(part.values()) if isinstance(part, dict) else isinstance(part, Layer)
+    fine = (surfaces_of(result, level) for level in range(1, len(LEVELS)))
+    for part in chain(
+        surfaces_of(result, 0), _components(result), splats_of(result), cloud_of(result), chain.from_iterable(fine)
+    ):
+        seen = any(part.values()) if isinstance(part, dict) else not isinstance(part, str)
         empty = empty and not seen
         yield part
     if empty:
@@ -95,43 +71,6 @@ def _components(result: Result) -> Iterator[Part]:
             yield from _without_photos(result, frustums[0])
         if model is not None:
             yield _sparse(one, model)
-
-
-def _cloud(result: Result) -> Iterator[Part]:
-    from skymoor.results.formats import read_pointcloud
-
-    cloud = result.folder / "pointcloud.laz"
-    if cloud.is_file():
-        try:
-            yield Layer("point cloud", *read_pointcloud(cloud, result.frame, MAX_POINTS))
-        except InputError as error:
-            yield str(error)
-
-
-def _surfaces(result: Result) -> Iterator[Part]:
-    from skymoor.results.mosaic import mosaic_of
-
-    mosaic = mosaic_of(result, MAX_VERTICES)
-    if mosaic.note:
-        yield mosaic.note
-    for name, rgb, height in (
-        ("satellite", mosaic.satellite, mosaic.satellite_height),
-        ("model surface", mosaic.model, mosaic.model_height),
-    ):
-        if mosaic.grid is not None and rgb is not None and height is not None and np.isfinite(height).any():
-            yield draped(name, mosaic.grid, rgb, height)
-
-
-def draped(name: str, grid: Grid, rgb: Image, height: Array32) -> Layer:
-    """Colours (h, w, 3) on the surface of heights (h, w); there is no triangle where a corner is unknown."""
-    known = np.isfinite(height)
-    number = np.cumsum(known.ravel()).reshape(known.shape) - 1
-    points = np.concatenate([grid.centres(), height[..., None]], axis=-1)[known].astype(np.float32)
-    corners = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
-    whole = known[:-1, :-1] & known[1:, :-1] & known[1:, 1:] & known[:-1, 1:]
-    square = corners[whole]
-    faces = np.concatenate([square[:, [0, 1, 2]], square[:, [0, 2, 3]]]).astype(np.int32)
-    return Layer(name, points, rgb[known], faces)
 
 
 def _model(result: Result, component: ComponentSummary) -> pycolmap.Reconstruction | None:

@@ -8,24 +8,27 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout
-from html import escape
 from typing import Any
 
 import numpy as np
 
 from skymoor.engines.libraries import require
-from skymoor.engines.tensors import fitted
 from skymoor.errors import InputError
+from skymoor.geo import EnuFrame
 from skymoor.results.read import Result
-from skymoor.results.viewer.scene import Frustum, Layer, parts_of
-from skymoor.store import open_image
-from skymoor.types import Array, Array32, Image
+from skymoor.results.viewer.cameras import CameraPanel
+from skymoor.results.viewer.scene import parts_of
+from skymoor.results.viewer.splats import Splats
+from skymoor.results.viewer.surfaces import MODEL, SATELLITE, Layer, confidence_colours, legend_html
+from skymoor.results.viewer.tape import MeasurePanel
+from skymoor.types import Array, Array32
 
 HOST = "127.0.0.1"  # to show a site in a network, forward the port
 POLL_S = 0.5
-THUMB_PX, PHOTO_PX = 160, 900
-THUMBS_FOR = 400  # with more cameras, photos are shown on a click only
-COLOURS = ((255, 190, 40), (60, 190, 255), (255, 110, 180), (120, 225, 110), (255, 140, 60), (180, 150, 255))
+POINT_M = 0.15
+FARTHEST_M = 1e5  # that is drawn
+Z_UP_FROM_Y_UP = (0.5**0.5, 0.5**0.5, 0.0, 0.0)  # glTF's axes
+PHOTO, CONFIDENCE = "photos", "confidence"
 
 
 def view_run(result: Result, *, port: int, browser: bool, note: Callable[[str], None]) -> None:
@@ -60,12 +63,18 @@ class Page:
             self._server: Any = viser.ViserServer(
                 host=HOST, port=port, verbose=False, label=f"skymoor: {result.summary.get('site', '')}"
             )
-        self._result = result
-        self._server.scene.set_up_direction("+z")
-        self._loading = self._server.gui.add_markdown("Loading, what is large at the end ...")
-        self._layers = self._server.gui.add_folder("Layers")
-        self._cameras = self._server.gui.add_folder("Cameras")
-        self._details = _Details(self._server, result)
+        server, self._result = self._server, result
+        server.gui.configure_theme(show_logo=False, show_share_button=False)  # sharing would go through a relay outside
+        server.scene.set_up_direction("+z")
+        server.initial_camera.far = FARTHEST_M
+        self._loading = server.gui.add_markdown("Loading, fine surfaces at the end ...")
+        with server.gui.add_folder("Layers") as self._layers:
+            self._colours = server.gui.add_dropdown("colours", (PHOTO, CONFIDENCE))
+            self._legend = server.gui.add_html(legend_html(), visible=False)
+        self._colours.on_update(lambda _: self._recolour())
+        self._shown: dict[str, _Shown] = {}
+        self._cameras = CameraPanel(server, result)
+        self._tape = MeasurePanel(server, result, self._visible_surfaces)
         self._aimed = False
 
     @property
@@ -75,21 +84,19 @@ class Page:
 
     def load(self) -> Iterator[str]:
         """Show all that there is, one by one; yields lines about what is missing. Raises `InputError` as `parts_of`."""
-        shown = 0
         for part in parts_of(self._result):
             if isinstance(part, str):
                 yield part
             elif isinstance(part, Layer):
                 self._aim(part.points)
-                with self._layers:
-                    _switch(self._server, part.name, [_shown(self._server, part)], visible=part.name != "model surface")
+                self._show(part)
+            elif isinstance(part, Splats):
+                self._aim(part.centres)
+                self._show_splats(part)
             else:
                 for name, frustums in part.items():
                     self._aim(np.array([one.position for one in frustums]))
-                    handles = [self._details.shown(one, COLOURS[shown % len(COLOURS)]) for one in frustums]
-                    with self._cameras:
-                        _switch(self._server, f"{name} ({len(handles)})", handles, visible=True)
-                    shown += 1
+                    self._cameras.add(name, frustums)
         self._loading.remove()
 
     def stop(self) -> None:
@@ -103,93 +110,77 @@ class Page:
             return
         self._aimed = True
         middle, reach = np.median(points, axis=0), float(np.ptp(points[:, :2], axis=0).max()) + 30.0
-
-        def look(client: Any) -> None:
-            client.camera.up_direction = (0.0, 0.0, 1.0)
-            client.camera.position = tuple(middle + [0.0, -0.75 * reach, 0.5 * reach])
-            client.camera.look_at = tuple(middle - [0.0, 0.0, 0.3 * reach])
-
-        self._server.on_client_connect(look)
+        position, look_at = middle + [0.0, -0.6 * reach, 0.45 * reach], middle - [0.0, 0.05 * reach, 0.0]
+        start = self._server.initial_camera
+        start.position, start.look_at = tuple(position), tuple(look_at)
         for client in self._server.get_clients().values():  # who came before there was anything to see
-            look(client)
+            client.camera.position, client.camera.look_at = tuple(position), tuple(look_at)
 
+    def _show(self, layer: Layer) -> None:
+        """In the place of a coarser one of the same name."""
+        before = self._shown.get(layer.name)
+        if before is None:
+            with self._layers:
+                box = self._server.gui.add_checkbox(layer.name, initial_value=True)
+            self._shown[layer.name] = shown = _Shown(self._server, box, layer, self._result.frame)
+            box.on_update(lambda _: shown.update(self._by_confidence))
+        else:
+            shown = before
+            shown.replace(layer)
+        shown.update(self._by_confidence)
 
-def _switch(server: Any, label: str, handles: list[Any], *, visible: bool) -> None:
-    box = server.gui.add_checkbox(label, visible)
-
-    def update(_: object) -> None:
-        for handle in handles:
-            handle.visible = box.value
-
-    box.on_update(update)
-    update(None)
-
-
-def _shown(server: Any, layer: Layer) -> Any:
-    name = f"/{layer.name}"
-    if layer.faces is None:
-        return server.scene.add_point_cloud(name, layer.points, layer.colours, point_size=0.15, point_shape="circle")
-    trimesh = require("trimesh", "view")
-    mesh = trimesh.Trimesh(layer.points, layer.faces, vertex_colors=layer.colours, process=False)
-    return server.scene.add_mesh_trimesh(name, mesh)
-
-
-class _Details:
-    """The camera that was clicked last: its photo, position and accuracy beside the scene."""
-
-    def __init__(self, server: Any, result: Result) -> None:
-        self._server, self._result = server, result
-        rows = result.registered_cameras
-        places = np.array([(row.east, row.north) for row in rows if row.set == rows[0].set], dtype=np.float64)
-        self._many = len(rows) > THUMBS_FOR
-        self._size = min(6.0, 0.04 * max(20.0, float(np.ptp(places, axis=0).max()) if len(rows) else 0.0))
-        with server.gui.add_folder("Camera"):
-            self._words = server.gui.add_markdown("Click a camera to see its photo, position and accuracy.")
-            self._photo = server.gui.add_image(np.zeros((2, 2, 3), np.uint8), visible=False)
-
-    def shown(self, one: Frustum, colour: tuple[int, int, int]) -> Any:
-        """The camera in the scene, which shows its details when it is clicked."""
-        handle = self._server.scene.add_camera_frustum(
-            f"/cameras/{one.row.set}_{one.row.component}/{one.row.image}",
-            fov=one.fov_rad,
-            aspect=one.aspect,
-            scale=self._size,
-            color=colour,
-            image=None if self._many else self._image(one, THUMB_PX),
-            wxyz=one.enu_from_camera_wxyz,
-            position=one.position,
+    def _show_splats(self, part: Splats) -> None:
+        handle = self._server.scene.add_gaussian_splats(
+            f"/{part.name}", part.centres, part.covariances, part.rgb, part.opacity
         )
-        handle.on_click(lambda _: self.show(one))
-        return handle
+        with self._layers:
+            box = self._server.gui.add_checkbox(f"splats {part.name}", initial_value=True)
+        box.on_update(lambda _: setattr(handle, "visible", box.value))
 
-    def show(self, one: Frustum) -> None:
-        """Show it beside the scene."""
-        self._words.content = words_of(one)
-        photo = self._image(one, PHOTO_PX)
-        self._photo.visible = photo is not None
-        if photo is not None:
-            self._photo.image = photo
+    @property
+    def _by_confidence(self) -> bool:
+        return bool(self._colours.value == CONFIDENCE)
 
-    def _image(self, one: Frustum, side_px: int) -> Image | None:
-        try:
-            with open_image(self._result.photo(one.row.image)) as image:
-                image.draft("RGB", (side_px, side_px))  # JPEGs are decoded small, many times faster
-                rgb = np.asarray(image.convert("RGB"))
-        except (InputError, OSError):
-            return None
-        return fitted(rgb, side_px, 1)[0]
+    def _recolour(self) -> None:
+        self._legend.visible = self._by_confidence
+        for shown in list(self._shown.values()):
+            shown.update(self._by_confidence)
+
+    def _visible_surfaces(self) -> list[Layer]:
+        """The model before the reference that it lies on."""
+        found = [self._shown[name] for name in (MODEL, SATELLITE) if name in self._shown]
+        return [one.layer for one in found if one.box.value]
 
 
-def words_of(one: Frustum) -> str:
-    """Name, position and accuracy as Markdown; what is not a letter or a digit of a name is no markup."""
-    from skymoor.results.report.words import number  # loads all criteria, a second
+class _Shown:
+    """A layer on the page, with its checkbox; what is drawn by confidence is made when it is first asked for."""
 
-    row = one.row
-    name = "".join(letter if letter.isalnum() or letter in " /" else f"&#{ord(letter)};" for letter in row.image)
-    return (
-        f"**{name}**\n\n{escape(row.set)} {row.component}\n\n"
-        f"{number(row.lat, 7)}°, {number(row.lon, 7)}°, {number(row.height)} m\n\n"
-        f"E {number(row.east)} N {number(row.north)} up {number(row.up)} m\n\n"
-        f"CE90 {number(row.ce90)} m, LE90 {number(row.le90)} m; "
-        f"relative {number(row.relative_ce90)} and {number(row.relative_le90)} m"
-    )
+    def __init__(self, server: Any, box: Any, layer: Layer, frame: EnuFrame) -> None:
+        self._server, self.box, self.layer, self._frame = server, box, layer, frame
+        self._drawn: dict[bool, Any] = {}
+
+    def replace(self, layer: Layer) -> None:
+        before, self.layer, self._drawn = self._drawn, layer, {}
+        for handle in before.values():  # of the same name in the scene, which the new one takes
+            handle.remove()
+
+    def update(self, by_confidence: bool) -> None:  # noqa: FBT001
+        wanted = by_confidence and self.layer.confidence is not None
+        if self.box.value and wanted not in self._drawn:
+            self._drawn[wanted] = self._draw(wanted)
+        for kind, handle in self._drawn.items():
+            handle.visible = bool(self.box.value) and kind == wanted
+
+    def _draw(self, by_confidence: bool) -> Any:  # noqa: FBT001
+        layer, scene = self.layer, self._server.scene
+        colours, name = layer.colours, f"/{layer.name}/{layer.level} {PHOTO}"
+        if by_confidence and layer.confidence is not None:
+            colours, name = confidence_colours(layer.confidence), f"/{layer.name}/{layer.level} {CONFIDENCE}"
+        if layer.faces is None:
+            return scene.add_point_cloud(
+                name, layer.points, colours, point_size=POINT_M, point_shape="circle", precision="float32"
+            )
+        from skymoor.results.formats.gltf import mesh_glb
+
+        glb = mesh_glb(layer.points.astype(np.float64), colours, layer.faces.astype(np.uint32), self._frame)
+        return scene.add_glb(name, glb, wxyz=Z_UP_FROM_Y_UP)
