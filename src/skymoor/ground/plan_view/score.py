@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from skymoor.geometry import Similarity
 from skymoor.ground.plan_view.ground_colour import GroundCells
@@ -90,6 +91,14 @@ class PlanScores:
         steps, inside, valid, ground = self._sums(points, enu_from_level, moves)
         scores = typical.score(steps, ground) - self.options.penalty(inside, scale)
         return np.where(valid, scores, np.nan).astype(np.float64).reshape(side, side)
+
+    def shifted(self, enu_from_level: Similarity, east_north: Array) -> Array:
+        """Scores (n,) as of `at` of the similarity moved by (n, 2) metres, to the nearest cells."""
+        cells = np.round(east_north / self.target.grid.pixel_m).astype(int)
+        reach = int(np.abs(cells).max()) + 1
+        best = maximum_filter(np.nan_to_num(self.around(enu_from_level, reach), nan=-np.inf), 3)
+        found = best[reach - cells[:, 1], reach + cells[:, 0]]
+        return np.where(np.isfinite(found), found, np.nan)
 
     def _at_scale(self, scale: float) -> tuple[PlanPoints, Usual | None]:
         step = round(float(np.log(scale) / np.log(SCALE_STEP)))

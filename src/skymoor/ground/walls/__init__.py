@@ -11,14 +11,7 @@ from skymoor.ground.walls.airborne import (
     transformed_depth_map,
     walls_of_components,
 )
-from skymoor.ground.walls.consensus import (
-    AcceptanceOptions,
-    PoolOptions,
-    RefinedHypothesis,
-    WallHypothesis,
-    decide_ground,
-    pool_hypotheses,
-)
+from skymoor.ground.walls.consensus import AcceptanceOptions, RefinedHypothesis, decide_ground
 from skymoor.ground.walls.facade_pairs import FacadePair, FacadePairOptions, pair_facades
 from skymoor.ground.walls.facade_search import (
     Drift,
@@ -31,6 +24,7 @@ from skymoor.ground.walls.facade_search import (
 from skymoor.ground.walls.facades import Facade, FacadeOptions, affine_between, facade_of, similarity_between
 from skymoor.ground.walls.figure import walls_figure
 from skymoor.ground.walls.hypotheses import WallHypotheses
+from skymoor.ground.walls.pool import PoolOptions, WallHypothesis, pool_hypotheses
 from skymoor.ground.walls.pose_checks import (
     GroundPoseCheck,
     GroundPoseOptions,

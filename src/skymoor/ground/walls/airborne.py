@@ -22,13 +22,15 @@ from skymoor.geometry import Similarity
 from skymoor.ground.plan_view import PlanSearchOptions, PlanTarget, colour_map, plan_target
 from skymoor.ground.surface import surface_of
 from skymoor.ground.wall_planes import Wall, WallOptions, find_walls
-from skymoor.ground.walls.consensus import AcceptanceOptions, PoolOptions
+from skymoor.ground.walls.consensus import AcceptanceOptions
 from skymoor.ground.walls.facade_pairs import FacadePairOptions
 from skymoor.ground.walls.facade_search import FacadeSearchOptions
 from skymoor.ground.walls.facades import Facade, FacadeOptions, facade_of
+from skymoor.ground.walls.pool import PoolOptions
 from skymoor.ground.walls.refine import PerturbationOptions, RefineOptions
 from skymoor.ground.walls.roof_edges import RoofEdgeOptions, SurfaceImage, roof_edge_walls, without_repeated
 from skymoor.ground.walls.roof_facades import RoofFacadeOptions, roof_facades
+from skymoor.ground.walls.shifts import ShiftOptions
 from skymoor.ground.walls.visibility import HeightRaster, height_raster_of
 from skymoor.match import CyclicOptions, DenseMatcher, StructuralMatcher
 from skymoor.match.overlay import render_bounds, warp_confidence, warp_to_grid
@@ -52,6 +54,7 @@ class GroundOptions:
             cameras' height above the ground for its unit: 0.5 to 8 m; little ground is visible in front of a wall.
         max_blocked: share of the viewing rays of a hypothesis that may cross walls.
         max_angle_deg, max_gap_m: a ground wall and an airborne wall this close are matched densely.
+        shifts, rotations_deg: poses around each hypothesis among which the best is taken first.
         finalists: hypotheses that are refined as a whole with all photos; those elsewhere than the best show chance.
         matched: the best of these at different places, which are refined with dense matches too.
         rounds: of that refinement, each from the end of the last one.
@@ -72,6 +75,8 @@ class GroundOptions:
     max_blocked: float = field(default=0.1, metadata=FIXED)
     max_angle_deg: float = field(default=12.0, metadata=FIXED)
     max_gap_m: float = field(default=1.5, metadata=FIXED)
+    shifts: ShiftOptions = field(default_factory=ShiftOptions, metadata=FIXED)
+    rotations_deg: tuple[float, ...] = field(default=(-4.0, -2.0, 0.0, 2.0, 4.0), metadata=FIXED)
     finalists: int = 20
     matched: int = 5
     rounds: int = field(default=2, metadata=FIXED)

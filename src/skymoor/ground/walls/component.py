@@ -15,12 +15,14 @@ from skymoor.ground.plan_view import PlanScores, plan_model, search_plan
 from skymoor.ground.surface import surface_of
 from skymoor.ground.wall_planes import Wall, find_walls
 from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions, transformed_depth_map
-from skymoor.ground.walls.consensus import RefinedHypothesis, WallHypothesis, agreement_in_both
+from skymoor.ground.walls.consensus import RefinedHypothesis, agreement_in_both, unusual_height
 from skymoor.ground.walls.dense import photo_matches, wall_matches
 from skymoor.ground.walls.facade_pairs import FacadePair, pair_facades
 from skymoor.ground.walls.facade_search import agreement_of_channels, search_facades
-from skymoor.ground.walls.facades import Facade, facade_of, similarity_between
-from skymoor.ground.walls.refine import RefineOptions, perturbed, refine_pose
+from skymoor.ground.walls.facades import Facade, facade_of, set_back, similarity_between
+from skymoor.ground.walls.pool import WallHypothesis
+from skymoor.ground.walls.refine import RefineOptions, perturbed, refine_pose, turned
+from skymoor.ground.walls.shifts import PoseEvidence, WallPictures, best_shift
 from skymoor.ground.walls.visibility import check_visibility, view_rays_of
 from skymoor.match.channels import Channels, make_channels
 from skymoor.registration import independent_cells, register, restated, with_covariance_of
@@ -65,6 +67,7 @@ class ComponentSearch:
     rng: np.random.Generator
     plan: PlanScores | None
     _channels: dict[tuple[float, ...], Channels] = field(default_factory=dict)
+    _set_back: dict[float, list[Facade]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -153,10 +156,14 @@ class ComponentSearch:
 
     def _standing(self, enu_from_metric: Similarity, height_m: float) -> Similarity:
         """The similarity raised so that the cameras are so high above the ground (median)."""
+        gap = np.nan_to_num(self._height_above_ground(enu_from_metric))
+        return Similarity(1.0, np.eye(3), np.array([0.0, 0.0, height_m - gap])) @ enu_from_metric
+
+    def _height_above_ground(self, enu_from_metric: Similarity) -> float:
+        """Of the cameras (median); NaN where the ground is not known."""
         centres = enu_from_metric.apply(np.array([depth_map.camera.centre for depth_map in self.maps]))
         above = centres[:, 2] - self.airborne.heights.ground_at(centres[:, :2])
-        gap = float(np.nanmedian(above)) if np.isfinite(above).any() else 0.0
-        return Similarity(1.0, np.eye(3), np.array([0.0, 0.0, height_m - gap])) @ enu_from_metric
+        return float(np.nanmedian(above)) if np.isfinite(above).any() else float("nan")
 
     def refined_by_walls(self, origin: WallHypothesis) -> RefinedHypothesis:
         """The hypothesis, or its fit to dense matches of the walls if all photos agree better with that."""
@@ -186,10 +193,35 @@ class ComponentSearch:
         best = refine_pose(start, pivot, self._agreement_of_pose, options)
         return self._scored(hypothesis.origin, hypothesis.registration, best, hypothesis.cells)
 
+    def shifted(self, hypothesis: RefinedHypothesis) -> RefinedHypothesis:
+        """The hypothesis at the best shift within a few metres and at a few azimuths, if all agrees better there."""
+        pivot = hypothesis.enu_from_level.apply(view_rays_of(self.maps, rng=self.rng).ends.reshape(-1, 3)).mean(axis=0)
+        trials = [hypothesis]
+        for degrees in self.options.rotations_deg:
+            start = turned(hypothesis.enu_from_level, pivot, np.radians(degrees))
+            moved = Similarity(1.0, np.eye(3), best_shift(self._evidence(start), self.options.shifts)) @ start
+            trials.append(self._scored(hypothesis.origin, hypothesis.registration, moved, hypothesis.cells))
+        return max(trials, key=lambda one: one.fit)
+
+    def _evidence(self, enu_from_metric: Similarity) -> PoseEvidence:
+        """What shifts of a pose are compared by."""
+        height = self._height_above_ground(enu_from_metric)
+        return PoseEvidence(
+            lambda outwards: self._pictures(enu_from_metric, outwards),
+            lambda east_north: self._in_plan(enu_from_metric, east_north),
+            lambda up: unusual_height(height + up),
+        )
+
+    def _in_plan(self, enu_from_metric: Similarity, east_north: Array) -> Array:
+        if self.plan is None:
+            return np.full(len(east_north), np.nan)
+        return self.plan.shifted(enu_from_metric @ self.metric_from_level, east_north)
+
     def _agreement_of_pose(self, enu_from_metric: Similarity) -> float:
-        """In elevation and in plan together, as the evidence counts them."""
+        """In elevation and in plan together, less what is unusual, as `RefinedHypothesis.fit` counts them."""
         in_plan = float("nan") if self.plan is None else self.plan.at(enu_from_metric @ self.metric_from_level)
-        return agreement_in_both(self._agreement(enu_from_metric)[1], in_plan)
+        agreement = agreement_in_both(self._agreement(enu_from_metric)[1], in_plan)
+        return float(agreement - unusual_height(self._height_above_ground(enu_from_metric)))
 
     def with_background(self, hypothesis: RefinedHypothesis) -> RefinedHypothesis:
         """The hypothesis with the scores of perturbed positions around it."""
@@ -268,14 +300,22 @@ class ComponentSearch:
 
     def _agreement(self, enu_from_metric: Similarity) -> tuple[float, float, int]:
         """Of all photos with all airborne walls that they should see: NCC, score, and the number of these walls."""
+        pictures = self._pictures(enu_from_metric)
+        return *agreement_of_channels([(ground, airborne) for _, ground, airborne in pictures]), len(pictures)
+
+    def _pictures(self, enu_from_metric: Similarity, outwards: float = 0.0) -> WallPictures:
+        """Of all airborne walls that the photos should see, from the ground and from the air; as if the photos were so
+        many metres further out before each wall.
+        """
         airborne, options = self.airborne, self.options
-        pairs = pair_facades(airborne.facades, airborne.heights, self.maps, enu_from_metric, options.facade_pairs)
-        channels = [(make_channels(pair.ground, options.search.sharp), self._of_airborne(pair)) for pair in pairs]
-        return *agreement_of_channels(channels), len(pairs)
+        facades = self._set_back.setdefault(outwards, [set_back(facade, outwards) for facade in airborne.facades])
+        pairs = pair_facades(facades, airborne.heights, self.maps, enu_from_metric, options.facade_pairs)
+        sharp = options.search.sharp
+        return [(pair.facade, make_channels(pair.ground, sharp), self._of_airborne(pair)) for pair in pairs]
 
     def _of_airborne(self, pair: FacadePair) -> Channels:
         """Channels of the airborne side of a pair, which hardly depends on the pose."""
-        key = (id(pair.facade), *pair.offset_px.tolist(), *pair.airborne.mask.shape)
+        key = (id(pair.airborne.rgb.base), *pair.offset_px.tolist(), *pair.airborne.mask.shape)
         if key not in self._channels:
             self._channels[key] = make_channels(pair.airborne, self.options.search.blurred)
         return self._channels[key]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the hypotheses of single walls to the registration of a ground model, accepted or refused."""
+"""From refined hypotheses to the registration of a ground model, accepted or refused."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import t as student
 
 from skymoor.geometry import Similarity
 from skymoor.ground.plan_view import ScoreOptions
+from skymoor.ground.walls.pool import WallHypothesis, apart
 from skymoor.ground.walls.shared_error import with_shared_error
 from skymoor.registration.criteria import ESTIMATE, criterion, with_criteria
 from skymoor.types import Array, Criterion, Registration
@@ -34,77 +36,20 @@ LEAST_HEIGHT_M, LARGEST_LOG = 0.3, 20.0
 """Of cameras above the ground, log-normal: held by people, on dashboards (2 to 3.5 m with the vehicle) and on poles."""
 
 
-@dataclass(frozen=True, eq=False)
-class WallHypothesis:
-    """A similarity of the whole model that maps one of its walls onto one wall of the other model.
-
-    `score` is the agreement of the orthophotos of the two walls, in standard deviations of noise; of a pooled
-    hypothesis, that of all its `support` walls.
-    """
-
-    enu_from_level: Similarity
-    wall: int
-    other: int
-    score: float
-    support: int = 1
-
-
-@dataclass(frozen=True)
-class PoolOptions:
-    """Pooling of hypotheses from single walls.
-
-    Attributes:
-        screened: hypotheses that are considered, best first.
-        lead_ratio: hypotheses below this share of the best score can support others, and are not results themselves.
-        near_m: two hypotheses agree if they map the probes of the model this close to each other on average.
-        keep: hypotheses that are returned.
-    """
-
-    screened: int = 6000
-    lead_ratio: float = 0.6
-    near_m: float = 2.5
-    keep: int = 20
-
-
-def pool_hypotheses(
-    hypotheses: Sequence[WallHypothesis], probes: Array, options: PoolOptions | None = None
-) -> list[WallHypothesis]:
-    """The hypotheses on which most walls agree, best first and distinct from each other.
-
-    The pooled score is the root of the sum of squares, over the walls, of the best agreeing score of each: the walls
-    are independent observations.
-
-    Args:
-        hypotheses: of all walls.
-        probes: points (n, 3) of the model, its cameras and walls, by which distances of hypotheses are measured.
-        options: see there.
-    """
-    options = options or PoolOptions()
-    ranked = sorted(hypotheses, key=lambda one: -one.score)[: options.screened]
-    if not ranked:
-        return []
-    probes_enu = np.array([one.enu_from_level.apply(probes) for one in ranked])
-    walls, scores = np.array([one.wall for one in ranked]), np.array([one.score for one in ranked])
-    pooled: list[WallHypothesis] = []
-    for k in np.flatnonzero(scores > options.lead_ratio * scores[0]):
-        near = np.linalg.norm(probes_enu - probes_enu[k], axis=2).mean(axis=1) < options.near_m
-        best = [float(scores[near & (walls == wall)].max()) for wall in np.unique(walls[near])]
-        pooled.append(replace(ranked[k], score=float(np.linalg.norm(best)), support=len(best)))
-    kept: list[WallHypothesis] = []
-    for one in sorted(pooled, key=lambda other: -other.score):
-        if all(apart(one.enu_from_level, q.enu_from_level, probes) >= 2 * options.near_m for q in kept):
-            kept.append(one)
-    return kept[: options.keep]
-
-
-def agreement_in_both(score: float, plan_score: float) -> float:
+def agreement_in_both(score: ArrayLike, plan_score: ArrayLike) -> Array:
     """Agreement in elevation and in plan, where it is known, in units of their usual spread."""
-    return float(np.log(max(score, 1.0))) / SCORE_SPREAD + _positive(plan_score) / PLAN_SPREAD
+    return np.asarray(np.log(np.maximum(score, 1.0)) / SCORE_SPREAD + _positive(plan_score) / PLAN_SPREAD)
 
 
-def _positive(score: float) -> float:
+def unusual_height(height_m: ArrayLike) -> Array:
+    """What heights of the cameras above the ground take off agreement: minus the logarithm of their prior."""
+    logs = np.log(np.maximum(height_m, LEAST_HEIGHT_M) / USUAL_HEIGHT_M) / HEIGHT_SPREAD
+    return np.nan_to_num(logs**2 / 2)
+
+
+def _positive(score: ArrayLike) -> Array:
     """What is unknown in plan, or contradicts there, is no evidence for a place."""
-    return 0.0 if np.isnan(score) else max(score, 0.0)
+    return np.nan_to_num(np.maximum(score, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,21 +77,16 @@ class RefinedHypothesis:
     @property
     def evidence(self) -> float:
         """What orders hypotheses before their photos are matched."""
-        return CONTRAST_WEIGHT * self.contrast + PLAN_WEIGHT * _positive(self.plan_score) - self._unusual
+        in_plan = float(_positive(self.plan_score))
+        return CONTRAST_WEIGHT * self.contrast + PLAN_WEIGHT * in_plan - float(unusual_height(self.height_m))
 
     @property
     def fit(self) -> float:
         """What chooses hypotheses to refine, and between those of one place: agreement on walls and in plan, and its
         contrast where that is known.
         """
-        return agreement_in_both(self.score, self.plan_score) + self.contrast / CONTRAST_SPREAD - self._unusual
-
-    @property
-    def _unusual(self) -> float:
-        """What an unusual height of the cameras takes off."""
-        return float(
-            np.nan_to_num((np.log(max(self.height_m, LEAST_HEIGHT_M) / USUAL_HEIGHT_M) / HEIGHT_SPREAD) ** 2 / 2)
-        )
+        agreement = float(agreement_in_both(self.score, self.plan_score) - unusual_height(self.height_m))
+        return agreement + self.contrast / CONTRAST_SPREAD
 
     @property
     def odds(self) -> float:
@@ -160,7 +100,7 @@ class RefinedHypothesis:
         It rests mostly on what is independent of how walls look alike: agreement in plan, and the number of places in
         space where matches of the photos agree.
         """
-        of_pictures = PLAN_LIKELIHOOD * _positive(self.plan_score) + CONTRAST_LIKELIHOOD * self.contrast
+        of_pictures = PLAN_LIKELIHOOD * float(_positive(self.plan_score)) + CONTRAST_LIKELIHOOD * self.contrast
         return of_pictures + self._of_matches
 
     @property
@@ -296,8 +236,3 @@ def _possible(candidate: RefinedHypothesis, options: AcceptanceOptions) -> bool:
     """Whether the cameras are at eye height and their viewing rays are free."""
     on_ground = options.min_height_m <= candidate.height_m <= options.max_height_m
     return on_ground and candidate.blocked <= options.max_blocked
-
-
-def apart(a: Similarity, b: Similarity, probes: Array) -> float:
-    """Mean distance of the probes (n, 3) under two similarities."""
-    return float(np.linalg.norm(a.apply(probes) - b.apply(probes), axis=1).mean())

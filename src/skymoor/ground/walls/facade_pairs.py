@@ -14,7 +14,7 @@ import numpy as np
 
 from skymoor.geometry import Similarity
 from skymoor.ground.wall_planes import transformed_wall
-from skymoor.ground.walls.facades import Facade, FacadeOptions, facade_of
+from skymoor.ground.walls.facades import Facade, FacadeOptions, facade_from
 from skymoor.ground.walls.visibility import HeightRaster
 from skymoor.types import Array, DepthMap, Raster
 
@@ -69,7 +69,7 @@ def pair_facades(
     """
     options = options or FacadePairOptions()
     level_from_enu = enu_from_level.inverse()
-    # The options are in metres, `facade_of` takes lengths in the unit of the photos' frame, here level units.
+    # The options are in metres, `facade_from` takes lengths in the unit of the photos' frame, here level units.
     level_per_m = level_from_enu.scale
     in_level = FacadeOptions(
         tolerance_m=options.tolerance_m * level_per_m,
@@ -88,7 +88,7 @@ def pair_facades(
         if not seeing:
             continue
         wall = transformed_wall(facade.wall, level_from_enu)
-        orthophoto = facade_of(wall, seeing, facade.pixel_m * level_per_m, in_level)
+        orthophoto = facade_from(wall, seeing, facade.pixel_m * level_per_m, in_level)
         if orthophoto.raster.mask.sum() >= FEWEST_PX:
             found.append(_on_grid(orthophoto, facade, options))
     return found

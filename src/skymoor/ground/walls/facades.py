@@ -68,6 +68,20 @@ class Facade:
         plan = self.wall.normal * self.wall.offset + s[:, None] * self.wall.right
         return np.column_stack([plan, z])
 
+    @property
+    def axes(self) -> tuple[Array, Array]:
+        """Positions along the wall of the middles of columns, and heights of those of rows."""
+        rows, columns = self.raster.mask.shape
+        along = self.s0 + (np.arange(columns) + 0.5) * self.pixel_m
+        up = self.z1 - (np.arange(rows) + 0.5) * self.pixel_m
+        return np.asarray(along), np.asarray(up)
+
+    @property
+    def points(self) -> Array:
+        """Middles of the pixels in space (h, w, 3)."""
+        u, v = np.meshgrid(*(np.arange(n) + 0.5 for n in self.raster.mask.shape[::-1]))
+        return self.xyz(np.column_stack([u.ravel(), v.ravel()])).reshape(*u.shape, 3)
+
     def px(self, xyz: Array) -> Array:
         """Pixels (n, 2) of points (n, 3), projected onto the plane."""
         return np.column_stack(
@@ -99,19 +113,28 @@ def facade_of(
         hidden: which points a camera does not see, where not the depths of its photo tell that.
     """
     options = options or FacadeOptions()
+    return facade_from(wall, _sharpest(wall, maps, options), pixel_m, options, hidden=hidden)
+
+
+def facade_from(
+    wall: Wall,
+    photos: Sequence[DepthMap],
+    pixel_m: float,
+    options: FacadeOptions | None = None,
+    *,
+    hidden: Hidden | None = None,
+) -> Facade:
+    """As `facade_of`, from all of the photos, that of the finest pixels first."""
+    options = options or FacadeOptions()
     margin = options.margin_m
     width, height = wall.s1 - wall.s0 + 2 * margin, wall.z1 - wall.z0 + 2 * margin
     pixel_m = max(pixel_m, max(width, height) / options.max_px)
     shape = (int(np.ceil(height / pixel_m)), int(np.ceil(width / pixel_m)))
     empty = Raster(np.zeros((*shape, 3), np.uint8), np.zeros(shape, dtype=bool))
     facade = Facade(wall, empty, pixel_m, wall.s0 - margin, wall.z1 + margin)
-    photos = _sharpest(wall, maps, options)
     if not photos:
         return facade
-    u, v = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
-    xyz = facade.xyz(np.column_stack([u.ravel(), v.ravel()])).reshape(*shape, 3)
-    within = _within(wall, xyz, options.no_depth_margin_m)
-    layers = [_layer(wall, xyz, within, depth_map, options, hidden) for depth_map in photos]
+    layers = [_layer(facade, depth_map, options, hidden) for depth_map in photos]
     weights = np.stack([layer.shown for layer in layers])
     sharpest = np.sort(weights, axis=0)[-options.blend :]
     weights = np.where(weights >= np.maximum(sharpest[0], sharpest[-1] / 2), weights, 0)
@@ -120,6 +143,11 @@ def facade_of(
     colours = np.clip(rgb / np.maximum(total, 1e-12)[..., None], 0, 255).astype(np.uint8)
     shown = int(np.argmax([layer.shown.sum() for layer in layers]))
     return replace(facade, raster=Raster(colours, total > 0), detail_m=_detail(wall, photos[shown]))
+
+
+def set_back(facade: Facade, distance: float) -> Facade:
+    """The same picture on a plane that lies so much further inwards."""
+    return replace(facade, wall=replace(facade.wall, offset=facade.wall.offset - distance))
 
 
 def similarity_between(a: Facade, b: Facade, b_from_a: Array) -> Similarity:
@@ -182,40 +210,47 @@ def _detail(wall: Wall, depth_map: DepthMap) -> tuple[float, float]:
     return pixel / max(across, 1e-3), pixel / max(level, 1e-3)
 
 
-def _within(wall: Wall, xyz: Array, margin: float) -> Mask:
-    """Which points of its plane (h, w, 3) belong to a wall even where no depth says so."""
-    up, along = xyz[..., 2], xyz[..., :2] @ wall.right
-    inside: Mask = (up >= wall.z0 - min(margin, NO_DEPTH_DOWN_M)) & (up <= wall.z1 + margin)
-    return inside & (along >= wall.s0 - margin) & (along <= wall.s1 + margin)
+def _within(facade: Facade, margin: float) -> Mask:
+    """Which pixels of a facade belong to its wall even where no depth says so."""
+    along, up = facade.axes
+    wall = facade.wall
+    inside_along = (along >= wall.s0 - margin) & (along <= wall.s1 + margin)
+    inside_up = (up >= wall.z0 - min(margin, NO_DEPTH_DOWN_M)) & (up <= wall.z1 + margin)
+    return np.asarray(inside_up[:, None] & inside_along)
 
 
-def _layer(
-    wall: Wall, xyz: Array, within: Mask, depth_map: DepthMap, options: FacadeOptions, hidden: Hidden | None
-) -> _Layer:
+def _layer(facade: Facade, depth_map: DepthMap, options: FacadeOptions, hidden: Hidden | None) -> _Layer:
     """Colours and weights of one photo on the wall."""
-    camera, i = depth_map.camera, depth_map.camera.intrinsics
-    pose = camera.cam_from_world
-    # This is most of the work of a search: single precision is a hundredth of a pixel.
-    middle = xyz.reshape(-1, 3).mean(axis=0)
-    linear, offset = (pose.scale * pose.rotation).astype(np.float32), pose.apply(middle[None])[0].astype(np.float32)
-    x, y, z = np.moveaxis((xyz - middle).astype(np.float32) @ linear.T + offset, -1, 0)
+    camera, i, wall = depth_map.camera, depth_map.camera.intrinsics, facade.wall
+    # Most of the work of a search. Coordinates in the camera's frame are sums of one term per row and one per column;
+    # single precision is a hundredth of a pixel.
+    along, up = facade.axes
+    rotation, origin = camera.cam_from_world.rotation, camera.cam_from_world.apply(wall.point(0.0, 0.0)[None])[0]
+    across = rotation[:, :2] @ wall.right
+    rows = (origin[:, None] + rotation[:, 2:] * up).astype(np.float32)
+    columns = (across[:, None] * along).astype(np.float32)
+    x, y, z = (rows[k][:, None] + columns[k] for k in range(3))
     near = np.float32(1e-6)
     inverse = 1 / np.maximum(z, near)
     u, v = x * inverse * np.float32(i.fx) + np.float32(i.cx), y * inverse * np.float32(i.fy) + np.float32(i.cy)
     front = (z > near) & (u > 1) & (v > 1) & (u < i.width - 1) & (v < i.height - 1)
-    distance = np.sqrt(x * x + y * y + z * z) / np.float32(pose.scale)
-    height = float(camera.centre[:2] @ wall.normal) - wall.offset
-    cosine = np.float32(height) / distance
-    front &= cosine > options.min_cosine
-    weight = np.where(front, cosine, 0) ** np.float32(1.5) * np.float32(i.fx) / distance
-    u, v = np.where(front, u, -1e4).astype(np.float32), np.where(front, v, -1e4).astype(np.float32)
-    rgb = cv2.remap(depth_map.rgb, u - 0.5, v - 0.5, cv2.INTER_LINEAR).astype(np.float32)
+    centre = camera.centre
+    height = float(centre[:2] @ wall.normal) - wall.offset
+    of_row, of_column = (up - centre[2]) ** 2, (along - centre[:2] @ wall.right) ** 2
+    squared = of_row.astype(np.float32)[:, None] + (of_column + height**2).astype(np.float32)
+    # The cosine to the power of 1.5 times the pixels per length.
+    weight = np.float32(abs(height) ** 1.5 * i.fx) / (squared * np.sqrt(np.sqrt(squared)))
+    front &= squared < np.float32((max(height, 0.0) / options.min_cosine) ** 2)
+    weight = np.where(front, weight, 0)
+    u, v = np.where(front, u, np.float32(-1e4)), np.where(front, v, np.float32(-1e4))
+    rgb = cv2.remap(depth_map.rgb, u - np.float32(0.5), v - np.float32(0.5), cv2.INTER_LINEAR).astype(np.float32)
     if hidden is not None:
-        return _Layer(rgb, np.where(hidden(camera, xyz), 0, weight).astype(np.float32))
+        return _Layer(rgb, np.where(hidden(camera, facade.points), 0, weight).astype(np.float32))
     depth = sample_nearest(depth_map.depth, u, v)
     with np.errstate(invalid="ignore"):
         # Distance of the observed surface behind the plane of the wall, along its normal.
         behind = (depth * inverse - 1) * np.float32(height)
         seen = np.where(np.abs(behind) < options.tolerance_m, weight, 0)
-    shown = np.where(within & np.isnan(depth), options.no_depth_weight * weight, seen)
+    within = _within(facade, options.no_depth_margin_m)
+    shown = np.where(within & np.isnan(depth), np.float32(options.no_depth_weight) * weight, seen)
     return _Layer(rgb, shown.astype(np.float32))

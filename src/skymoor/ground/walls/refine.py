@@ -76,6 +76,12 @@ def perturbed(pose: Similarity, options: PerturbationOptions | None = None) -> l
     return [Similarity(1.0, np.eye(3), shift) @ pose for shift in shifts]
 
 
+def turned(pose: Similarity, pivot_enu: Array, radians: float, scale: float = 1.0) -> Similarity:
+    """The pose (ENU from level) rotated about the vertical through a point (3,), and enlarged from there."""
+    rotation = Rotation.from_rotvec([0.0, 0.0, radians]).as_matrix()
+    return Similarity(scale, rotation, pivot_enu - scale * rotation @ pivot_enu) @ pose
+
+
 @dataclass(frozen=True, eq=False)
 class _Near:
     """Poses around `start` by five numbers, whose units are `steps`."""
@@ -87,5 +93,5 @@ class _Near:
     def at(self, x: Array) -> Similarity:
         """The pose that is this far from the start in east, north, up, rotation and scale."""
         step = x * self.steps
-        scale, rotation = float(np.exp(step[4])), Rotation.from_rotvec([0.0, 0.0, float(step[3])]).as_matrix()
-        return Similarity(scale, rotation, self.pivot + step[:3] - scale * rotation @ self.pivot) @ self.start
+        moved = turned(self.start, self.pivot, float(step[3]), float(np.exp(step[4])))
+        return Similarity(1.0, np.eye(3), step[:3]) @ moved

@@ -10,9 +10,12 @@ import numpy as np
 from skymoor.geometry import Similarity
 from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions
 from skymoor.ground.walls.component import ComponentSearch, view_probes
-from skymoor.ground.walls.consensus import RefinedHypothesis, apart, pool_hypotheses
+from skymoor.ground.walls.consensus import RefinedHypothesis
 from skymoor.ground.walls.hypotheses import WallHypotheses
+from skymoor.ground.walls.pool import apart, pool_hypotheses
 from skymoor.types import DepthMap, Progress, no_progress
+
+SAME_POSE_M = 1.0  # mean distance of cameras and views
 
 
 def search_ground(
@@ -46,11 +49,21 @@ def search_ground(
     single = search.wall_hypotheses(progress)
     pooled = pool_hypotheses(single, search.probes, options.pool)
     scored = [*(search.refined_by_walls(hypothesis) for hypothesis in pooled), *search.plan_hypotheses(progress)]
+    scored = _distinct([search.shifted(hypothesis) for hypothesis in scored], search)
     refined = _refined(_finalists(scored, options.finalists), search, progress)
     counts = {"walls": len(search.searched), "guesses": len(single), "answers": len(pooled), "scored": len(scored)}
     return WallHypotheses(
         tuple(refined), view_probes(maps_level), {name: float(n) for name, n in counts.items()}, options.acceptance
     )
+
+
+def _distinct(scored: Sequence[RefinedHypothesis], search: ComponentSearch) -> list[RefinedHypothesis]:
+    """Of hypotheses that came to the same pose, the one that fits best."""
+    probes, kept = view_probes(search.maps), list[RefinedHypothesis]()
+    for one in sorted(scored, key=lambda hypothesis: -hypothesis.fit):
+        if all(apart(one.enu_from_level, other.enu_from_level, probes) >= SAME_POSE_M for other in kept):
+            kept.append(one)
+    return kept
 
 
 def _finalists(scored: Sequence[RefinedHypothesis], count: int) -> list[RefinedHypothesis]:
