@@ -48,6 +48,14 @@ def test_an_error_of_a_cell_does_not_matter(scores: PlanScores) -> None:
     assert scores.at(moved(0.7, 0.0)) == pytest.approx(right, rel=0.1)
 
 
+def test_all_shifts_score_as_they_do_one_by_one(scores: PlanScores) -> None:
+    cell = scores.target.grid.pixel_m
+    shifts = cell * np.array([[0.0, 0.0], [2.0, -1.0], [-3.0, 2.0], [0.0, 4.0]])
+    expected = [scores.at(moved(east, north)) for east, north in shifts.tolist()]
+    assert scores.shifted(floated(), shifts) == pytest.approx(expected, abs=0.05)
+    assert np.isnan(scores.shifted(moved(1e4, 0.0), shifts)).all()
+
+
 @pytest.mark.parametrize("house", [0, 2, 3, 4])
 def test_inside_a_house_it_scores_lower_than_in_front(scores: PlanScores, house: int) -> None:
     cameras = floated().apply(walked_l().cameras)[:, :2]

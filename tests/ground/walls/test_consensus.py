@@ -10,6 +10,7 @@ import pytest
 
 from skymoor.geometry import Similarity
 from skymoor.ground.walls import AcceptanceOptions, RefinedHypothesis, WallHypothesis, decide_ground, pool_hypotheses
+from skymoor.ground.walls.consensus import unusual_height
 from skymoor.registration import independent_cells
 from skymoor.types import Registration
 
@@ -141,6 +142,13 @@ def test_order_and_likelihood_of_hypotheses() -> None:
     unmatched = replace(plain, registration=Registration(False, "", None))
     assert unmatched.likelihood == pytest.approx(0.42 * 6.0 + 0.1 * plain.contrast)
     assert unmatched.odds == unmatched.evidence == plain.evidence < plain.odds
+
+
+def test_what_a_height_takes_off_is_its_prior() -> None:
+    usual, double, half, unknown = unusual_height(np.array([1.7, 3.4, 0.85, np.nan]))
+    assert (usual, unknown) == (0.0, 0.0)
+    assert double == pytest.approx(half)
+    assert double == pytest.approx((np.log(2) / 0.5) ** 2 / 2)
 
 
 def test_the_chance_of_the_likelihood_is_that_of_the_decoys() -> None:
