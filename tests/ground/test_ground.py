@@ -13,6 +13,7 @@ from skymoor.errors import DegenerateGeometry
 from skymoor.geometry import Similarity
 from skymoor.ground.plan_view import PlanSearchOptions
 from skymoor.ground.walls import (
+    AcceptanceOptions,
     AirborneWalls,
     GroundOptions,
     PoolOptions,
@@ -25,7 +26,7 @@ from skymoor.types import Camera, DepthMap
 from support.houses import centres, from_the_air, houses, walk_round
 
 SITE, HOUSE = 1, 0
-# Narrower than by default, for time only.
+# Narrower than by default, for time only. So small a walk round one house shows too little for a chance of 1 %.
 QUICK = GroundOptions(
     min_scale=1.5,
     max_scale=2.1,
@@ -33,6 +34,7 @@ QUICK = GroundOptions(
     matched=1,
     plan=PlanSearchOptions(keep=8),
     pool=PoolOptions(keep=5),
+    acceptance=AcceptanceOptions(max_chance=0.03),
 )
 
 

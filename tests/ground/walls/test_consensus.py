@@ -86,7 +86,7 @@ def test_the_contrast_is_the_excess_over_perturbed_positions() -> None:
         ([candidate(25, plan_score=4.0)], "a wrong place agrees as well"),
         ([candidate(25, cells=30)], "a wrong place agrees as well"),
         ([candidate(25, plan_score=float("nan"))], "a wrong place agrees as well"),
-        ([candidate(12)], "contrast 1.4 of the agreement"),
+        ([candidate(12, plan_score=14.0)], "contrast 1.4 of the agreement"),
         ([candidate(50), candidate(48, east_m=60.0, cells=90)], "another place is nearly as likely"),
         ([candidate(60, cells=3, plan_score=25.0)], "inliers lie in 3 independent cells"),
         ([replace(candidate(60), height_m=9.0)], "is 9 m; at most 8 m"),

@@ -27,10 +27,11 @@ PLAN_LIKELIHOOD, CELLS_LIKELIHOOD, CONTRAST_LIKELIHOOD = 0.42, 1.24, 0.1
 """Logarithm of the likelihood ratio of right to wrong placements, per unit of the score in plan, of ln(1 + cells) and
 of the contrast: Fisher's linear discriminant on sites simulated under real conditions. Contrast had no weight there
 beside the others; it has this one since it tells right from wrong where facades are seen well."""
-NULL_MEAN, NULL_SPREAD, NULL_COUNT = 7.0, 1.5, 30
-"""Of that sum over the best answers for components that were misplaced or mirrored; see docs/benchmarks.md."""
+NULL_MEAN, NULL_SPREAD, NULL_COUNT = 7.9, 1.35, 16
+"""Of that sum over the best answers for mirrored components, the highest of all decoys; see docs/benchmarks.md."""
 UNAMBIGUOUS_SHARE = 0.25
-"""Of those answers (7 of 30): the ones that also have the contrast and the lead over other places that are needed."""
+"""Of wrong answers: the ones that also have the contrast and the lead over other places that are needed (7 of 30 before
+all shifts were searched, about 1 of 29 since; the larger share is kept)."""
 USUAL_HEIGHT_M, HEIGHT_SPREAD = ScoreOptions.usual_height_m, ScoreOptions.height_sigma
 LEAST_HEIGHT_M, LARGEST_LOG = 0.3, 20.0
 """Of cameras above the ground, log-normal: held by people, on dashboards (2 to 3.5 m with the vehicle) and on poles."""
