@@ -2,10 +2,12 @@
 """Kills a run in every one of its stages, starts it again each time, and compares it with one that was left alone.
 
     python benchmarks/kill_and_resume.py SITE.toml WORK [--seed 0] [--json RESULT.json] [--set NAME=VALUE ...]
+    python benchmarks/kill_and_resume.py SITE.toml WORK --kills 100 [--minutes 15] ...
 
 WORK/whole is the undisturbed run, WORK/killed the other. Kills come by SIGKILL at a random moment of each stage, and
-twice while products are written. Every file of the results must be the same, byte for byte, but for the seconds and
-the memory in summary.json.
+twice while products are written; with --kills so many come at random moments of whole runs, and each run that came to
+its end in between is compared and begun anew. Every file of the results must be the same, byte for byte, but for the
+date, the seconds and the memory in summary.json, and what report.html shows of them.
 """
 
 from __future__ import annotations
@@ -14,6 +16,8 @@ import argparse
 import json
 import os
 import random
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,6 +28,10 @@ from typing import Any
 PROGRAM = "import sys; from skymoor.cli.main import main; sys.exit(main())"
 FINISHED = (0, 3)
 ATTEMPTS = 2  # kills of one stage
+OF_COSTS = re.compile(
+    rb'<table class="stages">.*?</table>|(Date of the run|Processing time).*?</tr>|[0-9.]+ [kM]B', re.DOTALL
+)
+"""What a report says of when, how long, and the sizes of files, such as the log."""
 
 
 def main() -> None:
@@ -32,6 +40,8 @@ def main() -> None:
     parser.add_argument("work", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--kills", type=int, default=0, help="so many at any moment, in place of some in each stage")
+    parser.add_argument("--minutes", type=float, default=15.0, help="after which no further kill begins")
     parser.add_argument("--set", action="append", default=[], help="an option of the runs")
     asked = parser.parse_args()
     command = [sys.executable, "-c", PROGRAM, "run", str(asked.site), "--quiet"]
@@ -43,13 +53,21 @@ def main() -> None:
     seconds = finish(command, whole)
     again = finish(command, whole)  # all from the cache: what starting and writing products takes
     stages = json.loads((whole / "summary.json").read_text())["stages"]
-    kills = kill_in_every_stage(command, killed, stages, again, random.Random(asked.seed))
+    rng = random.Random(asked.seed)
+    rounds: list[list[str]] = []
+    if asked.kills:
+        end = time.monotonic() + 60 * asked.minutes
+        kills, rounds = kill_anywhere(command, (whole, killed), stages, again, rng, asked.kills, end)
+    else:
+        kills = kill_in_every_stage(command, killed, stages, again, rng)
     resumed = finish(command, killed)
-    differing = compare(whole, killed)
+    differing = sorted({*compare(whole, killed), *(name for names in rounds for name in names)})
     result = {
         "seconds_whole": round(seconds, 1),
         "seconds_from_cache": round(again, 1),
         "seconds_last_resume": round(resumed, 1),
+        "runs_compared": 1 + len(rounds),
+        "n_kills": len(kills),
         "kills": kills,
         "stages_hit": sorted({kill["during"] for kill in kills}),
         "files_compared": len(contents(whole)),
@@ -101,6 +119,34 @@ def kill_in_every_stage(
     return kills
 
 
+def kill_anywhere(
+    command: list[str],
+    folders: tuple[Path, Path],
+    stages: list[dict[str, Any]],
+    start_s: float,
+    rng: random.Random,
+    count: int,
+    end: float,
+) -> tuple[list[dict[str, Any]], list[list[str]]]:
+    """Kills at any moment of whole runs; and for each run that came to its end, which of its files differ."""
+    whole, out = folders
+    kills: list[dict[str, Any]] = []
+    rounds: list[list[str]] = []
+    work_s = sum(stage["seconds"] for stage in stages)
+    while len(kills) < count and time.monotonic() < end:
+        # Mostly soon, for many kills of one run; now and then late enough for the longest stage.
+        after = rng.expovariate(10 / work_s) if rng.random() < 0.6 else rng.uniform(0, 0.7 * work_s)
+        patience = rng.uniform(0.2, 1.0) * start_s + after
+        found = killed_after(command, out, stages, patience)
+        kills += found
+        if not found:
+            rounds.append(compare(whole, out))
+            print(f"run {len(rounds)} is whole after {len(kills)} kills; differing: {rounds[-1]}", flush=True)
+            work_s = sum(stage["seconds"] for stage in json.loads((out / "summary.json").read_text())["stages"])
+            shutil.rmtree(out)
+    return kills, rounds
+
+
 def killed_after(command: list[str], out: Path, stages: list[dict[str, Any]], patience: float) -> list[dict[str, Any]]:
     """What was killed, none if the run ended before."""
     process = start(command, out)
@@ -126,10 +172,14 @@ def contents(out: Path) -> dict[str, object]:
     found: dict[str, object] = {}
     for path in out.rglob("*"):
         name = path.relative_to(out).as_posix()
-        if path.is_file() and not name.startswith(("stages/", ".lock")):
+        if path.is_file() and not name.startswith(("stages/", ".lock", "run.log")):
             found[name] = path.read_bytes()
     summary = json.loads((out / "summary.json").read_text())
-    found["summary.json"] = {**summary, "stages": [(stage["name"], stage["key"]) for stage in summary["stages"]]}
+    found["summary.json"] = {
+        **{key: value for key, value in summary.items() if key not in ("date", "seconds")},
+        "stages": [(stage["name"], stage["key"]) for stage in summary["stages"]],
+    }
+    found["report.html"] = OF_COSTS.sub(b"", (out / "report.html").read_bytes())
     return found
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -112,6 +113,16 @@ def tie_points(site: Path) -> None:
         file.write(FLAT)
 
 
+def text_of_no_code(site: Path) -> None:
+    """GDAL repeats it in its message."""
+    (site / "dsm.vrt").write_bytes(b"<VRTDataset rasterXSize='\xed\xa0\x80'>")
+    toml("dsm.tif", "dsm.vrt")(site)
+
+
+def pipe_beside(site: Path) -> None:
+    os.mkfifo(site / "dsm.tif.aux.xml")
+
+
 PIXEL = np.full((3, 1, 1), 99, np.uint8)
 CASES = [
     Case("ortho of one pixel", raster("ortho.tif", PIXEL), ("ortho.tif", "only 0.5 m by 0.5 m")),
@@ -147,6 +158,8 @@ CASES = [
     Case("half", content("ortho.tif", lambda all_: all_[: len(all_) // 2]), ("ortho.tif", "is it complete")),
     Case("a zip", content("dsm.tif", b"PK\3\4" + bytes(99)), ("dsm.tif", "cannot be read as a raster")),
     Case("vrt of what is gone", broken_vrt, ("dsm.vrt", "is it complete")),
+    Case("vrt in no code of letters", text_of_no_code, ("dsm.vrt", "cannot be read as a raster")),
+    Case("a pipe beside it", pipe_beside, ("dsm.tif.aux.xml", "is a pipe", "remove it")),
     Case("a folder", toml('"dsm.tif"', '"airborne"'), ("site.toml", "reference.dsm", "no file")),
     Case("horizontal datum", toml('"ellipsoid"', '"EPSG:32617"'), ("EPSG:32617", "no vertical datum")),
     Case("no datum", toml('"ellipsoid"', '"sea level"'), ("sea level", "EPSG:3855")),

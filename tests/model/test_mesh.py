@@ -14,6 +14,7 @@ from skymoor.densify import SgmDepth
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry import Similarity
 from skymoor.model import MeshBuilder, MeshModel, nadir_view
+from skymoor.model.mesh._open3d import in_order
 from skymoor.store._cache import read_cache, write_cache
 from skymoor.types import DepthMap, Render, View
 from support.flight import STANDOFF_M, Flight, as_colours, on_tent, seen_from_above, true_component, true_maps
@@ -216,3 +217,17 @@ def test_depths_without_a_common_surface_are_refused(flight: Flight, exact_model
     maps = {"no maps": [], "unsure": [unsure, unsure], "one": [one, unsure]}[case]
     with pytest.raises(DegenerateGeometry):
         MeshBuilder()(true_component(flight).transformed(LEVEL_FROM_ENU), maps)
+
+
+def test_the_order_of_a_mesh_is_not_left_to_threads(exact_model: MeshModel, rng: np.random.Generator) -> None:
+    vertices, triangles = exact_model.vertices, exact_model.triangles
+    shuffle = rng.permutation(len(vertices))
+    place = np.argsort(shuffle)
+    turned = np.stack(
+        [np.roll(one, k) for one, k in zip(place[triangles], rng.integers(0, 3, len(triangles)), strict=True)]
+    )
+    other = in_order(vertices[shuffle], turned[rng.permutation(len(turned))].astype(np.int32))
+    np.testing.assert_array_equal(other[0], vertices)
+    np.testing.assert_array_equal(other[1], triangles)
+    normals = np.cross(*(vertices[triangles[:, k]] - vertices[triangles[:, 0]] for k in (1, 2)))
+    assert np.median(normals[:, 2]) > 0  # and which side is outside has not changed

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -79,6 +81,87 @@ def draco(folder: Path) -> Path:
     return folder / "m.gltf"
 
 
+def json_in_a_folder(name: str, text: str | bytes) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        (folder / "m").mkdir()
+        (folder / "m" / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+        return folder / "m"
+
+    return make
+
+
+def transforms(**wrong: object) -> Callable[[Path], Path]:
+    frame = {"file_path": "a.jpg", "transform_matrix": np.eye(4).tolist(), "w": 100, "h": 80, "fl_x": 90}
+    return json_in_a_folder("transforms.json", json.dumps({"frames": [{**frame, **wrong}]}))
+
+
+def mesh_gltf(**wrong: object) -> Callable[[Path], Path]:
+    """Of which one thing is wrong; without it, a mesh of two triangles whose faces name vertices that are not there."""
+
+    def make(folder: Path) -> Path:
+        body = points(600).astype("<f4").tobytes() + np.array([0, 1, 2, 0, 1, 60_000], "<u4").tobytes()
+        (folder / "m.bin").write_bytes(body)
+        views = [{"buffer": 0, "byteLength": 7200}, {"buffer": 0, "byteOffset": 7200, "byteLength": 24}]
+        content = {
+            "asset": {"version": "2.0"},
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+            "accessors": [
+                {"bufferView": 0, "componentType": 5126, "count": 600, "type": "VEC3"},
+                {"bufferView": 1, "componentType": 5125, "count": 6, "type": "SCALAR"},
+            ],
+            "bufferViews": views,
+            "buffers": [{"byteLength": len(body), "uri": "m.bin"}],
+        }
+        (folder / "m.gltf").write_text(json.dumps({**content, **wrong}))
+        return folder / "m.gltf"
+
+    return make
+
+
+def billions_of_records(folder: Path) -> Path:
+    path = write_las(folder / "m.las", points())
+    content = bytearray(path.read_bytes())
+    content[100:104] = b"\xff" * 4
+    path.write_bytes(content)
+    return path
+
+
+def no_end_of_zeros(folder: Path) -> Path:
+    """A splat of a hundred million points that holds 64 MB of zeros, many times over."""
+    zeros = gzip.compress(bytes(1 << 26), 1)
+    head = struct.pack("<IIIBBBB", 0x5053474E, 3, 2**31, 0, 12, 0, 0)
+    (folder / "m.spz").write_bytes(gzip.compress(head) + zeros * 40)
+    return folder / "m.spz"
+
+
+def splat_without_colours(folder: Path) -> Path:
+    names = [*"xyz", "f_dc_0", "opacity", "scale_0", "rot_0"]
+    head = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "element vertex 2000",
+        *(f"property float {one}" for one in names),
+    ]
+    rows = np.column_stack([points(), np.ones((2000, 4))]).astype("<f4")
+    (folder / "m.ply").write_bytes("\n".join([*head, "end_header\n"]).encode() + rows.tobytes())
+    return folder / "m.ply"
+
+
+def bundle_with_a_list_of_nothing(folder: Path) -> Path:
+    camera = "1 0 0\n1 0 0\n0 1 0\n0 0 1\n0 0 0\n"
+    rows = "".join(f"{x} {y} {z}\n9 9 9\n0\n" for x, y, z in points(200))
+    (folder / "m.out").write_text(f"# Bundle file v0.3\n1 200\n{camera}{rows}")
+    (folder / "m.list.txt").write_bytes(b"\xff\xfe\x00")
+    return folder / "m.out"
+
+
+def damaged_e57(folder: Path) -> Path:
+    (folder / "m.e57").write_bytes(b"ASTM-E57" + bytes(200))
+    return folder / "m.e57"
+
+
 def of_no_kind(folder: Path) -> Path:
     (folder / "m.fbx").write_bytes(b"Kaydara FBX Binary")
     return folder / "m.fbx"
@@ -139,6 +222,23 @@ def not_there(folder: Path) -> Path:
         (without_materials, "materials"),
         (without_a_buffer, "data.bin is missing"),
         (draco, "compressed"),
+        (json_in_a_folder("reconstruction.json", "["), "JSON"),
+        (json_in_a_folder("reconstruction.json", b"\xff"), "JSON"),
+        (json_in_a_folder("reconstruction.json", "[" * 100_000), "JSON"),
+        (json_in_a_folder("reconstruction.json", "[]"), "OpenSfM"),
+        (json_in_a_folder("reconstruction.json", "[[1]]"), "OpenSfM"),
+        (json_in_a_folder("transforms.json", "{"), "JSON"),
+        (transforms(w=float("inf")), "nerfstudio"),
+        (transforms(fl_x=10**400), "nerfstudio"),
+        (mesh_gltf(), "vertices that are not there"),
+        (mesh_gltf(extensionsRequired=None), "gltf"),
+        (mesh_gltf(meshes=[{"primitives": [None]}]), "gltf"),
+        (mesh_gltf(buffers=[{"uri": True}]), "gltf"),
+        (billions_of_records, "records in its header"),
+        (no_end_of_zeros, "version"),
+        (splat_without_colours, "ply"),
+        (bundle_with_a_list_of_nothing, "list of Bundler"),
+        (damaged_e57, "E57"),
         (of_no_kind, "export it as GLB"),
         (empty_folder, "has no model"),
         (damaged_colmap, "COLMAP"),

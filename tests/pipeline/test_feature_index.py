@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from skymoor.cli.main import main
+from skymoor.errors import InputError
 from skymoor.match.features import TILE_PX, features_of
 from skymoor.match.propose import propose
 from skymoor.match.search import DECISIVE
@@ -85,3 +86,26 @@ def test_the_command_says_what_it_wrote(wide: Raster, tmp_path: Path, capsys: py
     assert str(index_path(ortho)) in capsys.readouterr().out
     assert main(["index", str(tmp_path / "none.tif")]) == 2
     assert "there is no such file" in capsys.readouterr().err
+
+
+def test_an_index_with_damage_is_told(wide: Raster, tmp_path: Path) -> None:
+    ortho = write_map(tmp_path / "ortho.tif", wide)
+    file, _ = write_index(ortho)
+    with np.load(file) as kept:
+        whole = dict(kept)
+    for wrong in (
+        {"px": whole["px"][:, :1]},
+        {"size": whole["size"][:-1]},
+        {"angle": whole["angle"] * np.nan},
+        {"step": np.array(0)},
+        {"step": np.array("x")},
+    ):
+        np.savez(file, **{**whole, **wrong})
+        with pytest.raises(InputError, match="make it again with skymoor index"):
+            reference_features(coarse(ortho), ortho, file)
+    np.savez(file, **{name: value for name, value in whole.items() if name != "descriptors"})
+    with pytest.raises(InputError, match="descriptors"):
+        reference_features(coarse(ortho), ortho, file)
+    content = file.read_bytes()
+    file.write_bytes(content[:200])
+    assert checked_index(ortho, "")[0] is None and "is damaged" in checked_index(ortho, "")[1]

@@ -135,6 +135,15 @@ def test_cogs_are_laid_out_as_such_and_hold_the_same(run: Path, out: Path, name:
             assert cog.nodata == plain.nodata
 
 
+def test_a_damaged_raster_of_the_run_is_told(tmp_path: Path) -> None:
+    folder = write_run(tmp_path)
+    for content in (b"", (folder / "confidence.tif").read_bytes()[:500]):
+        (folder / "confidence.tif").write_bytes(content)
+        with pytest.raises(InputError, match=r"confidence\.tif: cannot be copied"):
+            export(Result.read(folder), ["cog"], tmp_path / "out", lambda _: None)
+        assert not (tmp_path / "out/cog").exists()
+
+
 def test_a_large_cog_has_overviews(tmp_path: Path) -> None:
     from skymoor.results.formats import write_cog
 

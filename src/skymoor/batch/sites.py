@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from skymoor.engines.regular import regular
 from skymoor.errors import InputError
 from skymoor.pipeline.option_parser import nearest
 
@@ -100,7 +101,7 @@ def outcome_of(task: SiteTask, exit_status: int, seconds: float, last_line: str,
         killed = f"ended by signal {-exit_status}; too little memory?" if exit_status < 0 else "an error of skymoor"
         return Outcome(**common, message=last_line or f"{killed}, see {task.out / LOG}")  # type: ignore[arg-type]
     try:
-        sets: list[dict[str, Any]] = json.loads((task.out / "summary.json").read_text(encoding="utf-8"))["sets"]
+        sets: list[dict[str, Any]] = json.loads(regular(task.out / "summary.json").read_text(encoding="utf-8"))["sets"]
         parts = [part for one in sets for part in one["components"]]
         there = [part for part in parts if part["status"] == "REGISTERED"]
         errors = [part["predicted_ce90_m"] for part in there if part.get("predicted_ce90_m") is not None]
@@ -114,7 +115,7 @@ def outcome_of(task: SiteTask, exit_status: int, seconds: float, last_line: str,
             ce90_m=max(errors, default=None),
             message="; ".join(dict.fromkeys(reasons)),
         )
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         return Outcome(**{**common, "exit_status": FAILED}, message=f"summary.json cannot be read: {error}")  # type: ignore[arg-type]
 
 

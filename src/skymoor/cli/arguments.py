@@ -196,6 +196,29 @@ class Evaluate:
     """For scripts: the rows as JSON on stdout."""
 
 
+@dataclass(frozen=True)
+class Bench:
+    """Measure the search and the matcher on a published data set of image pairs that you have on disk.
+
+    For example: skymoor bench srif SRIF --out bench
+
+    A row per pair goes to srif.jsonl; the same command again continues where it stopped. The summary is srif.json.
+    """
+
+    dataset: Annotated[Literal["srif"], tyro.conf.Positional]
+    """srif: images by night, in infrared and of depth, docs/benchmarks.md says where it is from."""
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of the data set, which has a folder for each kind."""
+    out: Out = Path("skymoor-bench")
+    """Folder for the results."""
+    json: bool = False
+    """For scripts: the results as JSON on stdout."""
+    quiet: Quiet = False
+    """Plain lines in place of progress bars."""
+    verbose: Verbose = False
+    """Also show what goes to the log."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Export:
     """Write a finished run in other programs' formats; the photos themselves are never changed."""

@@ -43,10 +43,10 @@ def run(command: Run) -> bool:
     from skymoor import api
     from skymoor.cli.outcome import show_result
     from skymoor.cli.tables import plan_table
+    from skymoor.engines.regular import is_there
     from skymoor.pipeline.option_parser import parse_option
     from skymoor.pipeline.prior import SearchPrior
     from skymoor.pipeline.site_control import control_with_arguments
-    from skymoor.pipeline.site_values import is_there
     from skymoor.results.ask.answer import ANSWERS
 
     options = dict(map(parse_option, command.set))

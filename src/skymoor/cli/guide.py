@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 
 def init(command: Init) -> None:
     """`skymoor init`."""
+    from skymoor.engines.regular import is_there
     from skymoor.errors import InputError
     from skymoor.pipeline.site_draft import Stated, draft_site
-    from skymoor.pipeline.site_values import SITE_FILE, is_there
+    from skymoor.pipeline.site_values import SITE_FILE
     from skymoor.store import atomic_file
 
     file = command.out if command.out.suffix.lower() == ".toml" else command.out / SITE_FILE

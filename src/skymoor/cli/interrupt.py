@@ -15,8 +15,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Generic, NoReturn, TypeVar
 
@@ -25,12 +25,14 @@ from skymoor.engines.temporary import remove_temporary_folders
 T = TypeVar("T")
 
 LOG = logging.getLogger("skymoor")
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU") if hasattr(signal, name))
 GRACE_S = 3.0  # for the work to end by itself
 POLL_S = 0.1
 SAME_S = 0.5  # a second signal within this time is the same one: the terminal's, and a parent's that passes it on
 STOPPING = "stopping after this step (press again to stop now)"
 STOPPED = "skymoor: stopped; the same command continues from here"
+CPU_LIMIT = getattr(signal, "SIGXCPU", None)
+OUT_OF_TIME = "skymoor: the limit of CPU time (ulimit -t) is reached; the same command continues from here"
 AT_STOP: list[Callable[[int], object]] = []
 """Called with the number of the first signal, such as to pass it on to other processes."""
 AT_END: list[Callable[[], object]] = []
@@ -38,11 +40,33 @@ AT_END: list[Callable[[], object]] = []
 
 
 class Stopped(KeyboardInterrupt):
-    """The work was ended by a signal; `status` is what a shell reports then."""
+    """The work was ended by a signal; `status` is what a shell reports then, and `line` what is told."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
-        self.status = 128 + number
+        self.status, self.line = 128 + number, _last_line(number)
+
+
+def _last_line(number: int) -> str:
+    return OUT_OF_TIME if number == CPU_LIMIT else STOPPED
+
+
+@contextmanager
+def cpu_limit_told() -> Iterator[None]:
+    """Raise `Stopped` where the limit of CPU time is reached outside of `interruptible`, in place of an end without a
+    word, while the block lasts."""
+
+    def stop(number: int, _: FrameType | None) -> NoReturn:
+        raise Stopped(number)
+
+    if CPU_LIMIT is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(CPU_LIMIT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(CPU_LIMIT, before)
 
 
 def interruptible(work: Callable[[], T], *, told: str = STOPPING, grace_s: float = GRACE_S) -> T:
@@ -109,7 +133,8 @@ class _Work(Generic[T]):
 
     def _ask(self) -> None:
         """Answer, and have the work end at its next instruction."""
-        _tell(self._told)
+        if self._number != CPU_LIMIT:  # for which there is nothing to press
+            _tell(self._told)
         colmap = sys.modules.get("skymoor.engines.colmap")
         if colmap is not None:
             colmap.STOP.cancel()
@@ -123,7 +148,7 @@ class _Work(Generic[T]):
         """End the process in the midst of a library's call; what was computed is on the disk, whole."""
         LOG.warning("stopped by the user within a step")
         _clear()
-        _tell(STOPPED)
+        _tell(_last_line(self._number))
         with suppress(Exception):
             sys.stdout.flush()
         os._exit(128 + self._number)

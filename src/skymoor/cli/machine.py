@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict
 
+from skymoor.cli.arguments import Bench
 from skymoor.cli.machine_arguments import Doctor, Grids, GridsFetch, Schema, Weights, WeightsFetch
 from skymoor.cli.progress import Screen
 
@@ -56,6 +58,27 @@ def doctor(command: Doctor) -> bool:
         screen.show(checks_table(checks))
         screen.answer({"checks": [{**asdict(check), "status": check.status} for check in checks]})
     return all(check.status != "missing" for check in checks)
+
+
+def bench(command: Bench) -> None:
+    """`skymoor bench srif`."""
+    from skymoor.bench import LEFT_OUT, bench_record, by_kind, code_of, find_pairs, measure, search_and_match
+    from skymoor.cli.tables import bench_table
+    from skymoor.store import atomic_file, plain
+
+    with Screen(plain=command.quiet, for_scripts=command.json, verbose=command.verbose) as screen:
+        pairs = find_pairs(command.folder, screen.track("read the pairs"))
+        for kind, reason in LEFT_OUT.items():
+            screen.note(f"{kind} is left out: {reason}")
+        command.out.mkdir(parents=True, exist_ok=True)
+        log = command.out / f"{command.dataset}.jsonl"
+        rows = measure(search_and_match, "skymoor", pairs, log, code_of(), screen.track("pairs"))
+        record, file = plain(bench_record(rows)), command.out / f"{command.dataset}.json"
+        with atomic_file(file) as out:
+            out.write((json.dumps(record, indent=1) + "\n").encode())
+        screen.show(bench_table(by_kind(rows)))
+        screen.note(f"{file}: all pairs, with version and machine")
+        screen.answer(record)
 
 
 def schema(_: Schema) -> None:

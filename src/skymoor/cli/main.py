@@ -17,6 +17,7 @@ import tyro
 from skymoor import __version__
 from skymoor.cli.arguments import (
     Batch,
+    Bench,
     Clean,
     Demo,
     Evaluate,
@@ -29,7 +30,8 @@ from skymoor.cli.arguments import (
     View,
 )
 from skymoor.cli.guide_arguments import Ask, Init
-from skymoor.cli.interrupt import GRACE_S, STOPPED, STOPPING, Stopped, interruptible
+from skymoor.cli.interrupt import GRACE_S, STOPPED, STOPPING, Stopped, cpu_limit_told, interruptible
+from skymoor.cli.limits import no_memory, require_address_space
 from skymoor.cli.machine_arguments import Completion, Doctor, Grids, Help, Schema, Version, Weights
 from skymoor.cli.register_arguments import Register
 from skymoor.cli.usage import parsed
@@ -40,7 +42,7 @@ from skymoor.pipeline.option_parser import nearest
 # Errors of disks and paths, which the user can fix; all others are errors of this program.
 OF_THE_DISK = (
     *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO),
-    *(errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP),
+    *(errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EFBIG, errno.EMFILE, errno.ENFILE),
 )
 COMMANDS = {
     "init": Init,
@@ -49,6 +51,7 @@ COMMANDS = {
     "ask": Ask,
     "batch": Batch,
     "evaluate": Evaluate,
+    "bench": Bench,
     "export": Export,
     "report": Report,
     "view": View,
@@ -89,7 +92,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if arguments and not arguments[0].startswith("-"):
             _require_command(arguments[0])
-        status = _done(parsed(_parse, arguments or ["--help"]))
+        with cpu_limit_told():
+            status = _done(parsed(_parse, arguments or ["--help"]))
         sys.stdout.flush()
         return status
     except (InputError, BackendUnavailable) as error:  # such as a chosen engine that is not installed
@@ -110,9 +114,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"{error.filename or 'a file'}: {error.strerror}; once that is fixed, the same command continues from here"
         )
         return EXIT_USAGE
+    except (MemoryError, ImportError, RuntimeError) as error:
+        line = no_memory(error)
+        if not line:
+            raise
+        _tell(line)
+        return EXIT_USAGE
     except KeyboardInterrupt as stop:
         with suppress(OSError):  # the terminal may be gone
-            print(STOPPED, file=sys.stderr)
+            print(stop.line if isinstance(stop, Stopped) else STOPPED, file=sys.stderr)
         return stop.status if isinstance(stop, Stopped) else EXIT_INTERRUPTED
 
 
@@ -140,6 +150,7 @@ def _done(chosen: Any) -> int:
     actions: dict[type, Callable[[Any], bool | int | None]] = {
         Ask: guide.ask,
         Batch: commands.batch,
+        Bench: machine.bench,
         Clean: commands.clean,
         Demo: commands.demo,
         Doctor: machine.doctor,
@@ -159,6 +170,7 @@ def _done(chosen: Any) -> int:
     }
     action = actions[type(chosen)]
     if isinstance(chosen, WITH_COLMAP):
+        require_address_space()
         import pycolmap  # noqa: F401 - before signals are listened to, since it takes SIGTERM for itself
     told, grace_s = TOLD.get(type(chosen), STOPPING), GRACE_S + (PASSED_ON_S if isinstance(chosen, Batch) else 0.0)
     with quiet_libraries():

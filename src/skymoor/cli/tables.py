@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from skymoor.batch.sites import Outcome
+from skymoor.bench import KindRow
 from skymoor.cli.doctor import Check
 from skymoor.engines.proj_grids import DatumGrids
 from skymoor.engines.weights import Weights
@@ -185,6 +186,18 @@ def accuracy_table(rows: Sequence[EvaluationRow]) -> Table:
             value = getattr(row, name)
             numbers.append(f"{value:.0%}" if name.startswith("share") and value is not None else _number(value))
         table.add_row(row.set, str(row.component), *numbers)
+    return table
+
+
+def bench_table(rows: Sequence[KindRow]) -> Table:
+    """One line for each kind of image pairs; errors in pixels of the second image, CPU seconds per pair."""
+    table = Table(title="against the labels")
+    for heading in ("kind", "pairs", "answers", "within 3 px", "5 px", "10 px", "mean px", "median px", "CPU s"):
+        table.add_column(heading)
+    for row in rows:
+        shares = [f"{n} ({n / row.pairs:.0%})" for n in row.within]
+        numbers = map(_number, (row.mean_error_px, row.median_error_px, row.cpu_s))
+        table.add_row(row.kind, str(row.pairs), str(row.answers), *shares, *numbers)
     return table
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skymoor.errors import InputError
-from skymoor.models.checks import checked_points
+from skymoor.models.checks import checked_points, readable
 from skymoor.models.colmap import FEWEST_POINTS, WITHOUT_PHOTOS, found_photos
 from skymoor.models.given import Cloud, GivenModel, Part
 from skymoor.models.posed import Posed, component_of_posed
@@ -25,14 +24,15 @@ def read_bundler(path: Path, photos: Path | None = None) -> GivenModel:
 
     Raises `InputError` where it cannot be used.
     """
-    try:
+    with readable(path, "Bundler file"):
         cameras, points, colours = parsed(path)
-    except (ValueError, IndexError) as error:
-        raise InputError(f"{path}: is no Bundler file that can be read ({error}); export it again") from error
     points = checked_points(points, path, fewest=FEWEST_POINTS)
     cloud, part = Cloud(points, colours if colours.any() else None), (Part("bundler", path),)
     listed = next((path.parent / one.format(stem=path.stem) for one in LISTS if _is_list(path, one)), None)
-    names = [] if listed is None else [line.split()[0] for line in listed.read_text().splitlines() if line.strip()]
+    names: list[str] = []
+    if listed is not None:
+        with readable(listed, "list of Bundler's images"):
+            names = [line.split()[0] for line in listed.read_text().splitlines() if line.strip()]
     files = found_photos(names, photos, path.parent) if names else {}
     used = [(name, row) for name, row in zip(names, cameras, strict=False) if name in files and row[0, 0] > 0]
     if len(used) < 3:

@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skymoor.errors import InputError
+from skymoor.engines.regular import regular
+from skymoor.errors import InputError, SkymoorError
 from skymoor.types import Array
 
 FEWEST_POINTS = 500
@@ -19,6 +24,33 @@ EARTH_RADII_M = 6.33e6, 6.40e6
 SMALLEST, LARGEST = 1e-9, 1e9
 """Extents of models in any unit that anybody uses."""
 THINNEST = 1e-6
+LONGEST = 300
+"""Letters of what a parser says, which may repeat the file."""
+
+
+@contextmanager
+def readable(path: Path, kind: str) -> Iterator[None]:
+    """Turn whatever a damaged file makes its reader raise into an `InputError`: it is no `kind`."""
+    try:
+        yield
+    except SkymoorError:
+        raise
+    except Exception as error:  # parsers of others stumble in many ways, and ours over values of the wrong kind
+        reason = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
+        raise InputError(f"{path}: is no {kind} that can be read ({reason[:LONGEST]}); export it again") from error
+
+
+def json_of(path: Path) -> Any:
+    """The content of a JSON file. Raises `InputError`."""
+    with readable(path, "JSON"):
+        return json.loads(regular(path).read_text(encoding="utf-8"))
+
+
+def checked_triangles(triangles: NDArray[np.int64], count: int, path: Path) -> NDArray[np.int64]:
+    """The triangles (m, 3) of `count` vertices. Raises `InputError` where they name others."""
+    if len(triangles) and not (triangles.min() >= 0 and triangles.max() < count):
+        raise InputError(f"{path}: its faces name vertices that are not there; export it again")
+    return triangles
 
 
 def checked_points(points: ArrayLike, path: Path, *, fewest: int = FEWEST_POINTS) -> Array:

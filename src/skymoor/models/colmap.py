@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from skymoor.engines.regular import is_there
 from skymoor.errors import InputError
 from skymoor.models.cameras import component_and_photos
-from skymoor.models.checks import checked_points
+from skymoor.models.checks import checked_points, readable
 from skymoor.models.given import Cloud, GivenModel, Part
 
 FILES = ("cameras", "images", "points3D")
@@ -60,11 +61,8 @@ def read_colmap(path: Path, photos: Path | None = None) -> GivenModel:
 def open_colmap(folder: Path) -> pycolmap.Reconstruction:
     """The model as COLMAP has it. Raises `InputError` where it cannot be read."""
     _require_whole(folder)
-    try:
+    with readable(folder, "COLMAP model"):
         return pycolmap.Reconstruction(str(folder))
-    except Exception as error:  # of a file that is cut off, anything
-        line = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{folder}: is no COLMAP model that can be read ({line}); export it again") from error
 
 
 def _require_whole(folder: Path) -> None:
@@ -94,15 +92,15 @@ def _images_end(data: bytes, count: int) -> bool:
 def found_photos(names: list[str], stated: Path | None, *beside: Path) -> dict[str, Path]:
     """Files of the photos by their names: in `stated`, else in a folder of photos beside one of the paths."""
     if stated is not None:
-        found = {name: stated / name for name in names if (stated / name).is_file()}
+        found = {name: stated / name for name in names if is_there(stated / name)}
         # Names may hold folders that were above the one that is given.
-        found = found or {name: stated / Path(name).name for name in names if (stated / Path(name).name).is_file()}
+        found = found or {name: stated / Path(name).name for name in names if is_there(stated / Path(name).name)}
         if not found:
             raise InputError(f"{stated}: has none of the model's photos, such as {names[0]}; name their folder")
         return found
     folders = [base / inside for base in beside for inside in ("images", "../images", "../../images", "", "..")]
     for folder in folders:
-        found = {name: folder / name for name in names if (folder / name).is_file()}
+        found = {name: folder / name for name in names if is_there(folder / name)}
         if found:
             return found
     return {}

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from skymoor.errors import InputError
+from skymoor.models.checks import json_of
 from skymoor.models.colmap import colmap_folder
 
 # fmt: off
@@ -118,10 +118,7 @@ def kind_of(path: Path) -> FileKind | None:
 
 
 def _of_json(path: Path) -> FileKind | None:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no JSON that can be read ({error}); export it again") from error
+    content = json_of(path)
     if isinstance(content, dict) and "frames" in content:
         return "nerfstudio"
     if isinstance(content, dict) and "asset" in content:

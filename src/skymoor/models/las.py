@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import laspy
@@ -11,20 +12,23 @@ from pyproj import CRS
 
 from skymoor.engines.libraries import require
 from skymoor.errors import InputError
-from skymoor.models.checks import checked_points, geocentric_up
+from skymoor.models.checks import checked_points, geocentric_up, readable
 from skymoor.models.given import Z_UP, Cloud, GivenModel, Part
 from skymoor.types import Array, Image
 
+HEADER_BYTES = 375
+RECORDS = ((100, 54), (243, 60))
+"""Where the header has the numbers of records of variable length, since LAS 1.4 also behind the points, and how many
+bytes one has at least."""
 MOST_POINTS = 8_000_000
 """Points that are rendered, evenly thinned out; all of them are moved."""
 
 
 def read_las(path: Path) -> GivenModel:
     """A LAS, LAZ or COPC cloud. Raises `InputError` where it cannot be used."""
-    try:
+    with readable(path, "LAS or LAZ file"):
+        _require_short_header(path)
         cloud = laspy.read(path)
-    except Exception as error:  # laspy and its decompressors stumble in many ways over a damaged file
-        raise InputError(f"{path}: is no LAS or LAZ file that can be read ({error}); export it again") from error
     step = max(1, -(-len(cloud.points) // MOST_POINTS))
     points = checked_points(np.asarray(cloud.xyz)[::step], path)
     colours = None
@@ -42,14 +46,24 @@ def read_las(path: Path) -> GivenModel:
     )
 
 
+def _require_short_header(path: Path) -> None:
+    """laspy reads on for hours behind the end of a file that claims billions of records. Raises `ValueError`."""
+    with path.open("rb") as file:
+        head = file.read(HEADER_BYTES)
+    for at, least in RECORDS:
+        claimed = (
+            struct.unpack_from("<I", head, at)[0] if len(head) >= at + 4 and head[25] >= (4 if at > 200 else 0) else 0
+        )
+        if claimed * least > path.stat().st_size:
+            raise ValueError(f"it claims {claimed} records in its header, and is too short for them")
+
+
 def read_e57(path: Path) -> GivenModel:
     """All scans of an E57 file, each where its pose puts it. Raises `InputError` where it cannot be used."""
     pye57 = require("pye57", "models")
-    try:
+    with readable(path, "E57 file"):
         file = pye57.E57(str(path))
         scans = [_scan(file, k) for k in range(file.scan_count)]
-    except Exception as error:
-        raise InputError(f"{path}: is no E57 file that can be read ({error}); export it again") from error
     points = checked_points(np.concatenate([np.zeros((0, 3)), *(xyz for xyz, _ in scans)]), path)
     known = [colours for _, colours in scans if colours is not None]
     colours = _eight_bit(np.concatenate(known)) if len(known) == len(scans) else None

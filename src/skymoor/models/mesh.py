@@ -15,7 +15,7 @@ import numpy as np
 
 from skymoor.engines.libraries import require
 from skymoor.errors import InputError
-from skymoor.models.checks import checked_points, geocentric_up
+from skymoor.models.checks import checked_points, checked_triangles, geocentric_up, readable
 from skymoor.models.given import Y_UP, GivenModel, Mesh, Part
 from skymoor.types import Image
 
@@ -121,7 +121,7 @@ def _require_images(path: Path, names: Sequence[str]) -> None:
 def _loaded(path: Path, content: bytes | None = None) -> Mesh:
     """All triangles of a scene, as trimesh reads it; of `content` in the place of the file's."""
     trimesh = require("trimesh", "models")
-    try:
+    with readable(path, "mesh"):
         if content is None:
             scene = trimesh.load_scene(str(path), process=False)
         else:
@@ -129,14 +129,15 @@ def _loaded(path: Path, content: bytes | None = None) -> Mesh:
             kind = "glb" if content.startswith(b"glTF") else "gltf"
             scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, resolver=beside, process=False)
         parts = [one for one in scene.dump() if hasattr(one, "faces") and len(one.faces)]
-    except Exception as error:  # of a damaged file, anything
-        raise InputError(f"{path}: is no mesh that can be read ({error}); export it again") from error
     if not parts:
         raise InputError(f"{path}: has no triangles; export the mesh, or the cloud as LAZ or PLY")
     starts = np.cumsum([0, *(len(one.vertices) for one in parts)])
     vertices = checked_points(np.concatenate([one.vertices for one in parts]), path)
     triangles = np.concatenate(
-        [np.asarray(one.faces, np.int64) + start for one, start in zip(parts, starts, strict=False)]
+        [
+            checked_triangles(np.asarray(one.faces, np.int64), len(one.vertices), path) + start
+            for one, start in zip(parts, starts, strict=False)
+        ]
     )
     images = [_image(one) for one in parts]
     textures = [image for image in images if image is not None]
@@ -151,7 +152,8 @@ def _loaded(path: Path, content: bytes | None = None) -> Mesh:
         own = image is not None
         uv.append(np.asarray(one.visual.uv, np.float32)[faces] if own else np.zeros((len(faces), 3, 2), np.float32))
         face_texture.append(np.full(len(faces), k if own else -1, np.int32))
-    return Mesh(vertices, triangles, None, np.concatenate(uv), np.concatenate(face_texture), tuple(textures))
+    known_uv = np.nan_to_num(np.concatenate(uv), posinf=0, neginf=0)
+    return Mesh(vertices, triangles, None, known_uv, np.concatenate(face_texture), tuple(textures))
 
 
 def _image(part: Any) -> Image | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from skymoor.errors import InputError
 from skymoor.geometry import Similarity
+from skymoor.models.checks import readable
 from skymoor.models.posed import Posed
 from skymoor.types import Array
 
@@ -18,13 +19,11 @@ NO_TRANSFORM = Similarity(1.0, np.eye(3), np.zeros(3))
 
 def open_metashape(path: Path) -> ET.ElementTree:
     """The document. Raises `InputError` where it is none, or its chunk is georeferenced already."""
-    try:
+    with readable(path, "XML of Metashape"):
         text = path.read_text(encoding="utf-8")
         if "<!DOCTYPE" in text or "<!ENTITY" in text:  # no program writes them, and they may grow without end
             raise ValueError("it declares entities")
         tree = ET.ElementTree(ET.fromstring(text))
-    except (OSError, ValueError, ET.ParseError) as error:
-        raise InputError(f"{path}: is no XML of Metashape that can be read ({error}); export it again") from error
     chunk = tree.find("chunk")
     if chunk is None or chunk.find("cameras") is None:
         raise InputError(f"{path}: has no cameras; export them again from Metashape as XML")
@@ -51,7 +50,7 @@ def world_from_chunk(tree: ET.ElementTree) -> Similarity:
 def cameras_of_metashape(path: Path) -> list[Posed]:
     """Cameras with a pose, in the coordinates of the mesh. Raises `InputError` where they cannot be used."""
     tree = open_metashape(path)
-    try:
+    with readable(path, "file of Metashape's cameras"):
         lenses = {node.get("id"): _lens(node) for node in tree.iterfind("chunk/sensors/sensor")}
         move = world_from_chunk(tree)
         found = []
@@ -63,8 +62,6 @@ def cameras_of_metashape(path: Path) -> list[Posed]:
             rotation = (move.rotation @ pose[:3, :3]).T
             centre = move.apply(pose[:3, 3])
             found.append(Posed(str(node.get("label")), *lens, rotation, -rotation @ centre))
-    except (ValueError, TypeError) as error:
-        raise InputError(f"{path}: its cameras cannot be read ({error}); export it again") from error
     if not found:
         raise InputError(f"{path}: no camera has a pose; align the photos, and export it again")
     return found

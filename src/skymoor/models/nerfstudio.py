@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from skymoor.engines.regular import is_there
 from skymoor.errors import InputError
+from skymoor.models.checks import json_of, readable
 from skymoor.models.given import Cloud, GivenModel, Part
 from skymoor.models.ply import read_ply
 from skymoor.models.posed import Posed, component_of_posed
@@ -21,14 +22,12 @@ OPENGL = np.array([1.0, -1.0, -1.0])
 
 def read_nerfstudio(path: Path, photos: Path | None = None) -> GivenModel:
     """Cameras, the cloud and the photos. Raises `InputError` where they cannot be used, or no cloud is named."""
-    content = json.loads(path.read_text(encoding="utf-8"))
-    try:
+    content = json_of(path)
+    with readable(path, "file of nerfstudio's cameras"):
         cameras = [_posed(content, frame) for frame in content["frames"]]
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise InputError(f"{path}: its cameras cannot be read ({error!r}); export it again") from error
-    named = content.get("ply_file_path") or "sparse_pc.ply"
+        named = content.get("ply_file_path") or "sparse_pc.ply"
     cloud_file = path.parent / str(named)
-    if not cloud_file.is_file():
+    if not is_there(cloud_file):
         raise InputError(
             f"{path}: the cloud {named} is not beside it, and cameras alone are no model; add ply_file_path, or give "
             "the COLMAP folder that it was made from"
@@ -42,7 +41,7 @@ def read_nerfstudio(path: Path, photos: Path | None = None) -> GivenModel:
         for one in cameras
         for folder in folders
         for file in (folder / one.image, folder / Path(one.image).name)
-        if file.is_file()
+        if is_there(file)
     }
     component, pictures = component_of_posed(cameras, surface.points, surface.colours, files, path)
     parts = (Part("nerfstudio", path), *cloud.parts)

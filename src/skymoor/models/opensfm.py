@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from skymoor.errors import InputError
-from skymoor.models.checks import checked_points
+from skymoor.models.checks import checked_points, json_of, readable
 from skymoor.models.colmap import FEWEST_POINTS, WITHOUT_PHOTOS, found_photos
 from skymoor.models.given import Cloud, GivenModel, Part
 from skymoor.models.posed import Posed, component_of_posed
@@ -20,17 +18,15 @@ from skymoor.models.posed import Posed, component_of_posed
 
 def read_opensfm(path: Path, photos: Path | None = None) -> GivenModel:
     """The largest reconstruction, with its photos if they are there. Raises `InputError` where it cannot be used."""
-    content = json.loads(path.read_text(encoding="utf-8"))
-    largest = max(content, key=lambda one: len(one.get("shots", {})))
-    try:
+    content = json_of(path)
+    with readable(path, "reconstruction of OpenSfM"):
+        largest = max(content, key=lambda one: len(one.get("shots", {})))
         cameras = [
             _posed(name, shot, largest["cameras"][shot["camera"]]) for name, shot in sorted(largest["shots"].items())
         ]
         found = list(largest.get("points", {}).values())
         points = np.array([one["coordinates"] for one in found], np.float64).reshape(-1, 3)
         colours = np.array([one["color"] for one in found], np.float64).reshape(-1, 3)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: its cameras and points cannot be read ({error!r}); export it again") from error
     points = checked_points(points, path, fewest=FEWEST_POINTS)
     shown = np.clip(np.nan_to_num(colours), 0, 255).astype(np.uint8)
     files = found_photos([one.image for one in cameras], photos, path.parent)

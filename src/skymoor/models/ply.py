@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from skymoor.engines.libraries import require
 from skymoor.errors import InputError
-from skymoor.models.checks import checked_points, geocentric_up
+from skymoor.models.checks import checked_points, checked_triangles, geocentric_up, readable
 from skymoor.models.given import Cloud, GivenModel, Mesh, Part, Surface
 from skymoor.types import Array, Image
 
@@ -44,12 +44,10 @@ def read_ply(path: Path) -> GivenModel:
 def open_ply(path: Path) -> Any:
     """The file as plyfile has it. Raises `InputError` where it is none, or has no vertices with positions."""
     plyfile = require("plyfile", "models")
-    try:
+    with readable(path, "PLY file"):
         file = plyfile.PlyData.read(str(path))
         if not {"x", "y", "z"} <= set(file["vertex"].data.dtype.names):
             raise ValueError("its vertices have no x, y, z")
-    except Exception as error:  # plyfile raises what numpy and its parser raise
-        raise InputError(f"{path}: is no PLY file that can be read ({error}); export it again") from error
     return file
 
 
@@ -94,6 +92,4 @@ def _triangles(file: Any, path: Path) -> NDArray[np.int64] | None:
         corners = np.stack([np.asarray(one, np.int64) for one in lists[sizes == size]])
         parts += [corners[:, [0, k, k + 1]] for k in range(1, int(size) - 1)]
     faces = np.concatenate(parts) if parts else np.zeros((0, 3), np.int64)
-    if len(faces) and not (faces.min() >= 0 and faces.max() < count):
-        raise InputError(f"{path}: its faces name vertices that are not there; export it again")
-    return faces if len(faces) else None
+    return checked_triangles(faces, count, path) if len(faces) else None

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from skymoor.errors import InputError
 from skymoor.models.bundler import read_bundler
+from skymoor.models.checks import readable
 from skymoor.models.colmap import found_photos, read_colmap
 from skymoor.models.detect import Found, find
 from skymoor.models.given import GivenModel, Part, Plan
@@ -58,19 +59,27 @@ def read_model(paths: Sequence[Path], photos: Path | None = None) -> GivenModel:
     if projects and len(found) > 1:
         raise InputError(f"{projects[0].path}: is a project with all its files; give it alone")
     if projects:
-        return read_odm(projects[0].path)
+        with readable(projects[0].path, "project of ODM"):
+            return read_odm(projects[0].path)
     cameras = [one for one in found if one.kind in CAMERAS]
     if len(cameras) > 1:
         raise InputError(f"{cameras[1].path}: is a second set of cameras; give one model at a time")
-    models = [CAMERAS[one.kind](one.path, photos) for one in cameras]
+    models = [_read(one, photos) for one in cameras]
     # The largest is rendered; all others move with it.
-    models += [SURFACES[one.kind](one.path) for one in sorted(found, key=_size) if one.kind in SURFACES]
+    models += [_read(one, photos) for one in sorted(found, key=_size) if one.kind in SURFACES]
     rasters = [one.path for one in found if one.kind == "raster"]
     if rasters:
         models.append(_of_rasters(rasters))
     beside = [one for one in found if one.kind in ("metashape", "realityscan")]
     joined = _joined(models, beside)
     return _with_cameras(joined, beside, photos) if beside else joined
+
+
+def _read(found: Found, photos: Path | None) -> GivenModel:
+    with readable(found.path, f"model of the kind {found.kind}"):
+        if found.kind in CAMERAS:
+            return CAMERAS[found.kind](found.path, photos)
+        return SURFACES[found.kind](found.path)
 
 
 def _size(found: Found) -> float:
@@ -114,7 +123,8 @@ def _with_cameras(model: GivenModel, found: Sequence[Found], photos: Path | None
     if found[0].kind == "realityscan":
         table_of(path)
         return replace(model, parts=(*model.parts, Part("realityscan", path)))
-    cameras = cameras_of_metashape(path)
-    files = found_photos([one.image for one in cameras], photos, path.parent) if photos is not None else {}
-    component, _ = component_of_posed(cameras, surface.points, surface.colours, files, path)
+    with readable(path, "file of Metashape's cameras"):
+        cameras = cameras_of_metashape(path)
+        files = found_photos([one.image for one in cameras], photos, path.parent) if photos is not None else {}
+        component, _ = component_of_posed(cameras, surface.points, surface.colours, files, path)
     return replace(model, component=component, parts=(*model.parts, Part("metashape", path)))

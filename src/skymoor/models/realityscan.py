@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from skymoor.errors import InputError
+from skymoor.models.checks import readable
 from skymoor.types import Array
 
 NEEDED = ("x", "y", "alt")
@@ -18,7 +18,7 @@ NEEDED = ("x", "y", "alt")
 
 def table_of(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     """Column headings as they are, and rows by their names without the mark. Raises `InputError`."""
-    try:
+    with readable(path, "table of cameras with name, x, y and alt"):
         with path.open(newline="", encoding="utf-8-sig") as file:
             lines = [line for line in csv.reader(file) if line and not line[0].startswith("#cameras")]
         names = lines[0]
@@ -26,8 +26,6 @@ def table_of(path: Path) -> tuple[list[str], list[dict[str, str]]]:
         rows = [dict(zip(plain, line, strict=True)) for line in lines[1:]]
         if not rows or not all(np.isfinite(float(row[name])) for row in rows for name in NEEDED):
             raise ValueError("a position is missing")
-    except (OSError, ValueError, KeyError, IndexError) as error:
-        raise InputError(f"{path}: has no cameras with name, x, y and alt ({error}); export it again") from error
     return names, rows
 
 

@@ -21,6 +21,7 @@ from skymoor.types import Array
 
 MAGIC, HEADER = 0x5053474E, "<IIIBBBB"
 LARGEST_POINTS = 100_000_000
+BYTES_PER_POINT = 65  # at most
 COEFFICIENTS = {0: 0, 1: 3, 2: 8, 3: 15}
 COLOUR_SCALE = 0.15
 MOST_FRACTION_BITS = 12  # of a position: a quarter of a millimetre; fewer where it would not fit into 24 bits
@@ -36,14 +37,17 @@ def read_spz(path: Path) -> GivenModel:
 def splat_of_spz(path: Path) -> NDArray[Any]:
     """The Gaussians with the properties of a PLY of 3D Gaussian splatting. Raises `InputError`."""
     try:
-        data = gzip.decompress(path.read_bytes())
-        magic, version, count, degree, bits, _, _ = struct.unpack_from(HEADER, data)
+        with gzip.open(path) as file:  # which may be small, and hold no end of zeros
+            data = file.read(struct.calcsize(HEADER))
+            magic, version, count, degree, bits, _, _ = struct.unpack(HEADER, data)
+            if magic == MAGIC and count <= LARGEST_POINTS:
+                data += file.read(BYTES_PER_POINT * count)
         if magic != MAGIC:
             raise ValueError("it does not begin as one")
         if version not in (2, 3) or degree not in COEFFICIENTS or count > LARGEST_POINTS:
             raise ValueError(f"version {version} with harmonics of degree {degree} is not known")
         return _unpacked(_Bytes(data, struct.calcsize(HEADER)), version, count, COEFFICIENTS[degree], bits)
-    except (OSError, EOFError, ValueError, struct.error, zlib.error) as error:
+    except (OSError, EOFError, MemoryError, ValueError, struct.error, zlib.error) as error:
         raise InputError(f"{path}: is no SPZ file that can be read ({error}); export it again, or as PLY") from error
 
 

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skymoor.engines.regular import regular
 from skymoor.sources.addresses import Addressed, is_address
 from skymoor.sources.known import Facts
 from skymoor.store import FETCHED, atomic_file, digest
@@ -77,11 +78,11 @@ def _fetched_before(
 ) -> Facts | None:
     """What is known of the files that were fetched from the same addresses and hold this area; None without any."""
     try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        record = json.loads(regular(folder / RECORD).read_text(encoding="utf-8"))
         if record["request"] != request or not (folder / ORTHO.name).is_file() or not _holds(record["area"], area):
             return None
         facts = Facts(**record["facts"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     note(f"{folder}: the reference that was fetched on {record['fetched']} is used; delete it to fetch it again")
     return facts

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skymoor.control import Control, ControlPoint, KnownPosition, Mark, ScaleBar
+from skymoor.engines.regular import regular
 from skymoor.errors import InputError
 from skymoor.pipeline.control_places import NO_PLACE, Accuracy, Coordinates, Row, Stated, crs_of, number_of, places_of
 
@@ -68,7 +69,7 @@ def read_control(files: Sequence[Path], stated: Stated, *, use: bool = False) ->
 def _lines(path: Path) -> list[tuple[int, str]]:
     """Lines with their numbers, without blank ones and comments."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = regular(path).read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     except (OSError, UnicodeDecodeError) as error:

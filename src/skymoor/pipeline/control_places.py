@@ -124,7 +124,7 @@ def crs_of(text: str, where: str, otherwise: str = "") -> str:
         CRS.from_user_input(code)
     except CRSError:
         more = f"; {otherwise}" if otherwise else ""
-        raise InputError(f"{where}: {text!r} is no CRS that PROJ knows{more}") from None
+        raise InputError(f"{where}: {text[:200]!r} is no CRS that PROJ knows{more}") from None
     return code
 
 

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from skymoor.engines.regular import arrays_of
 from skymoor.errors import InputError
 from skymoor.geo import EnuFrame
 from skymoor.match.features import Features, features_of, tile_features, tiles
@@ -66,11 +68,10 @@ def checked_index(ortho: Path, sha256: str) -> tuple[Path | None, str]:
     if not file.is_file():
         return None, ""
     try:
-        # numpy leaves a damaged file open that it opened itself.
-        with file.open("rb") as content, np.load(content, allow_pickle=False) as kept:
-            if int(kept["version"]) == VERSION and str(kept["orthophoto"]) == sha256:
-                return file, ""
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        version, orthophoto = arrays_of(file, ("version", "orthophoto"))
+        if int(version) == VERSION and str(orthophoto) == sha256:
+            return file, ""
+    except (OSError, TypeError, ValueError):
         return None, f"{file}: is damaged and not used; make it again with skymoor index {ortho}"
     return None, f"{file}: is the index of another orthophoto and not used; make it again with skymoor index {ortho}"
 
@@ -79,9 +80,7 @@ def reference_features(reference: Reference, ortho: Path, index: Path | None) ->
     """Features in pixels of the reference's grid: from the index of its orthophoto, or found in the grid itself."""
     if index is None:
         return features_of(reference_raster(reference))
-    with np.load(index, allow_pickle=False) as kept:
-        px, size, angle, descriptors = (kept[name] for name in ("px", "size", "angle", "descriptors"))
-        step = int(kept["step"])
+    px, size, angle, descriptors, step = _kept(index, ortho)
     raster = MapRaster.of(ortho)
     grid_px = np.concatenate(
         [_grid_px(raster, reference, px[k : k + CONVERTED]) for k in range(0, max(1, len(px)), CONVERTED)]
@@ -90,6 +89,20 @@ def reference_features(reference: Reference, ortho: Path, index: Path | None) ->
     rows, columns = reference.grid.shape
     inside = ((grid_px >= 0) & (grid_px < [columns, rows])).all(axis=1)
     return Features(grid_px[inside], size[inside] * scale, angle[inside] + turn, descriptors[inside], step * scale)
+
+
+def _kept(index: Path, ortho: Path) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], int]:
+    """Positions (n, 2), sizes (n,), angles (n,), descriptors (n, k), and the step. Raises `InputError`."""
+    try:
+        px, size, angle, descriptors, steps = arrays_of(index, ("px", "size", "angle", "descriptors", "step"))
+        step, n = int(steps), len(px)
+        if (px.shape, size.shape, angle.shape, descriptors.shape[:1]) != ((n, 2), (n,), (n,), (n,)) or step < 1:
+            raise ValueError("its arrays do not fit together")
+        if not all(np.isfinite(one).all() for one in (px, size, angle)) or descriptors.ndim != 2:
+            raise ValueError("its numbers are not finite")
+    except (OSError, TypeError, ValueError) as error:
+        raise InputError(f"{index}: is damaged ({error}); make it again with skymoor index {ortho}") from error
+    return px, size, angle, descriptors, step
 
 
 def _grid_px(raster: MapRaster, reference: Reference, px: Array) -> Array:

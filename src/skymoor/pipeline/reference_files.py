@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from skymoor.engines.regular import regular
 from skymoor.errors import InputError
 from skymoor.geo import UNKNOWN_ACCURACY, checked_covariance
 
@@ -58,7 +59,7 @@ def earlier_run(folder: Path) -> ReferenceFiles:
     """
     path = folder / "summary.json"
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
+        summary = json.loads(regular(path).read_text(encoding="utf-8"))
         parts = [part for one in summary["sets"] for part in one["components"] if part["status"] == "REGISTERED"]
         rights = {key: summary["reference"][key] for key in RIGHTS if summary["reference"].get(key)}
         known = summary["reference"]["covariance_m2"] is not None

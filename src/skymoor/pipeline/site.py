@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from skymoor.engines.regular import is_there
 from skymoor.errors import InputError
 from skymoor.geo import UNKNOWN_ACCURACY, UNKNOWN_HEIGHT_SIGMA_M, checked_covariance, covariance_from_ce90_le90
 from skymoor.geo.accuracy import LE90_PER_SIGMA
@@ -25,7 +26,6 @@ from skymoor.pipeline.site_values import (
     existing,
     heights_of,
     images_of,
-    is_there,
     known_keys,
     number_of,
     read_toml,

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from skymoor.control import Control
+from skymoor.engines.regular import is_there
 from skymoor.errors import InputError
 from skymoor.pipeline.control_files import read_control
 from skymoor.pipeline.control_places import Stated, crs_of
-from skymoor.pipeline.site_values import Problems, is_there, known_keys, number_of, table_of, text_of
+from skymoor.pipeline.site_values import Problems, known_keys, number_of, table_of, text_of
 
 KEYS = ("files", "use", "crs", "vertical_datum", "ce90", "le90")
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from skymoor.engines.regular import is_there
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.geo import EnuFrame
-from skymoor.pipeline.site_values import is_there
 from skymoor.pipeline.usual_accuracy import USUAL
 from skymoor.pipeline.words import size_in_words
 from skymoor.reference.raster import MapRaster, opened

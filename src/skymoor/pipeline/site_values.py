@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from skymoor.engines.regular import is_there, regular
 from skymoor.errors import InputError
 from skymoor.pipeline.option_parser import close_to, nearest
 from skymoor.sources.fragment import TABLE
@@ -59,7 +60,7 @@ def read_toml(path: Path) -> dict[str, object]:
     """The content of a TOML file. Raises `InputError`."""
     try:
         # utf-8-sig: editors of Windows put a byte order mark in front.
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(regular(path).read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     except RecursionError:
@@ -138,14 +139,6 @@ def number_of(value: object, where: str, key: str) -> float:
         return float(value)
     except OverflowError:
         raise InputError(f"{where}: {key} is too large for a number of metres") from None
-
-
-def is_there(path: Path, *, folder: bool = False) -> bool:
-    """Whether there is such a file, or folder; False also for names that no file can have."""
-    try:
-        return path.is_dir() if folder else path.is_file()
-    except (OSError, ValueError):
-        return False
 
 
 def existing(root: Path, table: Mapping[str, object], key: str, where: str, group: str) -> Path:

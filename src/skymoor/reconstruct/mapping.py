@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -116,9 +117,22 @@ def _temporary_folder() -> Iterator[Path]:
             except RuntimeError as error:  # COLMAP has no error for a full disk, and not always SQLite's
                 if "disk is full" in str(error) or disk_usage(folder).free < 1 << 20:
                     raise InputError(f"{folder.parent}: no space left on device; {remedy}") from error
+                if _files_are_limited():
+                    raise InputError(
+                        f"{folder.parent}: a file would grow beyond its limit (ulimit -f); raise it"
+                    ) from error
                 raise
     except OSError as error:
         raise InputError(f"{error.filename or 'temporary files'}: {error.strerror or error}; {remedy}") from error
+
+
+def _files_are_limited() -> bool:
+    """Whether no file may grow beyond a size: COLMAP has no error for that either."""
+    if sys.platform == "win32":
+        return False
+    import resource
+
+    return resource.getrlimit(resource.RLIMIT_FSIZE)[0] != resource.RLIM_INFINITY
 
 
 def _told_apart(

@@ -145,6 +145,7 @@ def opened(path: Path) -> Iterator[DatasetReader]:
     """Open a raster; a file that is missing or that GDAL cannot open is an `InputError` that names it."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; check the path")
+    _require_files_beside(path)
     with _named_errors(str(path)), warnings.catch_warnings():
         # A raster without a position is an error that names it, not a warning.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -153,6 +154,13 @@ def opened(path: Path) -> Iterator[DatasetReader]:
             source = rasterio.open(path)
     with source:
         yield source
+
+
+def _require_files_beside(path: Path) -> None:
+    """GDAL reads what lies beside a raster, such as its world file, and would wait for the end of a pipe."""
+    for one in path.parent.iterdir():
+        if one.name.startswith(path.stem) and one.exists() and not (one.is_file() or one.is_dir()):
+            raise InputError(f"{one}: is a pipe or device beside the raster {path.name}; remove it")
 
 
 def _require_readable(source: DatasetReader, path: Path) -> None:
@@ -172,7 +180,7 @@ def _named_errors(path: str) -> Iterator[None]:
     """Turn GDAL's errors into an `InputError` that names the file."""
     try:
         yield
-    except RasterioError as error:
+    except (RasterioError, UnicodeDecodeError) as error:  # the latter of messages that repeat the file
         reason = str(error.__cause__ or error).splitlines()[0].replace(f"{path}: ", "").rstrip(".")
         raise InputError(f"{path}: cannot be read as a raster, is it complete? ({reason})") from None
 

@@ -184,6 +184,10 @@ def _grid(frame: EnuFrame, ortho: MapRaster, outline: Array, max_pixels: float, 
     plan = frame.enu_from_lla(outline[:, 1], outline[:, 0], frame.height_m)[:, :2]
     (west, south), (east, north) = plan.min(axis=0), plan.max(axis=0)
     pixel = max(ortho.pixel_m(frame), pixel_m or 0.0, float(np.sqrt((east - west) * (north - south) / max_pixels)))
+    if not (np.isfinite(pixel) and np.isfinite(plan).all()):
+        raise InputError(
+            f"{ortho.path}: its position is outside the area of its coordinate reference system; check both"
+        )
     shape = round((north - south) / pixel), round((east - west) / pixel)
     if min(shape) < MIN_SIDE_PX:
         raise InputError(

@@ -18,6 +18,7 @@ from rasterio.transform import Affine
 from rasterio.vrt import WarpedVRT
 from rasterio.warp import Resampling, transform_geom
 
+from skymoor.engines.regular import regular
 from skymoor.geo.accuracy import CE90_PER_SIGMA, LE90_PER_SIGMA
 from skymoor.pipeline.options import MatchOptions
 from skymoor.results.read import Result
@@ -154,11 +155,11 @@ def _confident_heights(folder: Path, least: float, grid: dict[str, Any]) -> Arra
 def changes_words(folder: Path) -> str:
     """What `changes.geojson` of a run says, in one sentence; empty without it."""
     try:
-        found = json.loads((folder / CHANGES).read_text(encoding="utf-8"))
+        found = json.loads(regular(folder / CHANGES).read_text(encoding="utf-8"))
         areas = [one["properties"] for one in found["features"]]
         limit = f"by more than {found['limit_m']:.2f} m"
         volumes = {kind: sum(abs(one["volume_m3"]) for one in areas if one["kind"] == kind) for kind in KINDS}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return ""
     if not areas:
         return f"nothing changed since the earlier run {limit} in {LEAST_AREA_M2:.0f} m2 or more"

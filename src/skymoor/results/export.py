@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from skymoor import __version__
+from skymoor.engines.regular import regular
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.pipeline.option_parser import nearest
 from skymoor.results.formats._registry import FORMATS
@@ -102,8 +103,8 @@ def _require_ours(target: Path) -> None:
     if not (target.exists() or target.is_symlink()):
         return
     try:
-        known = {*json.loads((target / NOTE).read_text(encoding="utf-8"))["files"], NOTE}
-    except (OSError, ValueError, KeyError, TypeError):
+        known = {*json.loads(regular(target / NOTE).read_text(encoding="utf-8"))["files"], NOTE}
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         known = set()
     for path in target.rglob("*") if target.is_dir() and not target.is_symlink() else [target]:
         if not path.is_dir() and (path == target or path.relative_to(target).as_posix() not in known):

@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from skymoor.engines.libraries import require
+from skymoor.engines.regular import arrays_of, regular
 from skymoor.errors import InputError
 from skymoor.evaluate import EvaluationRow, evaluate
 from skymoor.geo import UNKNOWN_ACCURACY, EnuFrame
@@ -98,7 +98,7 @@ class Result:
         """Read the folder of a finished run. Raises `InputError` when there is none, or it is damaged."""
         path = Path(folder) / "summary.json"
         try:
-            summary = json.loads(path.read_text(encoding="utf-8"))
+            summary = json.loads(regular(path).read_text(encoding="utf-8"))
             origin = summary["enu_origin"]
             frame = EnuFrame(float(origin["lat"]), float(origin["lon"]), float(origin["height"]))
             stated = summary["reference"]["covariance_m2"]
@@ -132,7 +132,7 @@ class Result:
     def statistics(self) -> dict[str, Any]:
         """Photos, match graph and overlap by the names of components; empty of runs of versions that wrote none."""
         try:
-            found = json.loads((self.folder / STATISTICS).read_text(encoding="utf-8"))
+            found = json.loads(regular(self.folder / STATISTICS).read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError):
             return {}
         return found if isinstance(found, dict) else {}
@@ -163,6 +163,8 @@ class Result:
 
         folder = self.folder / "colmap" / component.name
         try:
+            for file in folder.iterdir():
+                regular(file)
             return pycolmap.Reconstruction(str(folder))
         except Exception as error:  # of a file that is cut off, anything
             raise InputError(f"{folder}: no COLMAP model of the run; {RUN_FIRST}") from error
@@ -170,9 +172,10 @@ class Result:
     def residuals(self, component: ComponentSummary) -> Array | None:
         """Residuals of the inliers, (n, 3) metres east, north, up; None if they were not kept."""
         try:
-            with np.load(self.folder / "matches" / f"{component.name}.npz", allow_pickle=False) as arrays:
-                metres: Array = np.asarray(arrays["residuals_m"], np.float64)[arrays["inliers"]]
-        except (OSError, EOFError, BadZipFile, ValueError, KeyError, IndexError):  # a former version's, or damaged
+            file = self.folder / "matches" / f"{component.name}.npz"
+            residuals, inliers = arrays_of(file, ("residuals_m", "inliers"))
+            metres: Array = np.asarray(residuals, np.float64)[inliers]
+        except (OSError, ValueError, TypeError, IndexError):  # a former version's, or damaged
             return None
         return metres if len(metres) else None
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from skymoor.engines.regular import regular
 from skymoor.errors import InputError
 from skymoor.evaluate import Estimate, Truth
 
@@ -119,7 +120,7 @@ def _rows(path: Path, columns: Sequence[str]) -> list[tuple[int, Mapping[str, st
     """Lines with their numbers, every cell text. Raises `InputError`, naming file and line, for what is no table."""
     try:
         # utf-8-sig: spreadsheets put a byte order mark in front of the first column's name.
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with regular(path).open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file, strict=True)
             header = [name.strip() for name in reader.fieldnames or ()]
             missing = [column for column in columns if column not in header]

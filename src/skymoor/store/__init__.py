@@ -3,7 +3,7 @@
 
 from skymoor.store._atomic import atomic_file, atomic_files, atomic_folder
 from skymoor.store._cache import read_stage
-from skymoor.store._closure import import_closure
+from skymoor.store._closure import defining_modules, fingerprint, import_closure
 from skymoor.store._digest import digest
 from skymoor.store._marks import FETCHED, FRAMES, PRODUCTS, is_run
 from skymoor.store._plain import plain
@@ -37,8 +37,10 @@ __all__ = [
     "atomic_folder",
     "check_photos",
     "count_frames",
+    "defining_modules",
     "digest",
     "find_photos",
+    "fingerprint",
     "has_metadata",
     "import_closure",
     "is_run",

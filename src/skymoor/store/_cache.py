@@ -12,6 +12,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from skymoor.engines.regular import regular
 from skymoor.store._atomic import atomic_file
 from skymoor.store._codec import decode, encode
 
@@ -45,7 +46,7 @@ def write_cache(file: Path, record: object, value: object) -> None:
 def read_cache(file: Path) -> tuple[Any, Any]:
     """(record, value). Raises `FileNotFoundError`, or `Corrupt` for anything that cannot be trusted."""
     try:
-        with file.open("rb") as stored:
+        with regular(file).open("rb") as stored:
             end = max(0, stored.seek(0, 2) - CHECKSUM_BYTES)
             expected = _checksum(stored, end)
             stored.seek(end)
@@ -60,7 +61,7 @@ def read_cache(file: Path) -> tuple[Any, Any]:
         raise
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, MemoryError, NotImplementedError) as error:
         raise Corrupt(str(error)) from error
-    except (AttributeError, ImportError, LookupError, RecursionError, TypeError, ValueError) as error:
+    except (AttributeError, ImportError, LookupError, RecursionError, SyntaxError, TypeError, ValueError) as error:
         raise Corrupt(str(error)) from error
     return record, value
 

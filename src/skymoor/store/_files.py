@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
+from skymoor.engines.regular import regular
 from skymoor.store._atomic import atomic_file
 
 
@@ -54,7 +55,7 @@ class FileDigests:
     def _load(self) -> dict[str, list[object]]:
         if self._known is None:
             self._known = {}
-            with suppress(OSError, ValueError, TypeError, AttributeError):
-                found = json.loads(self._index.read_text(encoding="utf-8"))
+            with suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):
+                found = json.loads(regular(self._index).read_text(encoding="utf-8"))
                 self._known = {key: value for key, value in found.items() if len(value) == 3}
         return self._known

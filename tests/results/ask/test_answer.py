@@ -149,8 +149,9 @@ def test_answers_are_kept_in_their_order(tmp_path: Path) -> None:
             record_answer(store, person_of(result, question, Statement(height=height)))
     found = answers_of(result.folder / "answers.json")
     assert [one["stated"]["height"] for one in found] == [40.0, 50.0]
-    (result.folder / "answers.json").write_text("{")
-    assert answers_of(result.folder / "answers.json") == []
+    for damaged in ("{", "[" * 100_000):
+        (result.folder / "answers.json").write_text(damaged)
+        assert answers_of(result.folder / "answers.json") == []
     words = person_words({"person": found[1]})
     assert words.startswith("a person helped with airborne_0: the flying height was given") and person_words({}) == ""
 

@@ -20,14 +20,16 @@ from PIL import Image
 from rasterio import Affine
 from scipy.spatial.transform import Rotation
 
+from skymoor.errors import InputError
 from skymoor.geo import EnuFrame
 from skymoor.geometry import Similarity
 from skymoor.models import read_model
 from skymoor.models.bundler import parsed
+from skymoor.models.given import Part
 from skymoor.models.realityscan import rotation_of, table_of
 from skymoor.results.formats._crs import MapFrame
 from skymoor.results.formats.gltf import ecef_from_enu
-from skymoor.results.placed.move import MOVERS
+from skymoor.results.placed.move import MOVERS, move_part
 from skymoor.results.placed.placement import Placement
 from skymoor.results.placed.ply import turned_harmonics
 from support.given_models import write_las, write_ply, write_raster
@@ -268,6 +270,12 @@ def test_cameras_of_realityscan(there: Placement, tmp_path: Path) -> None:
     _, (before,) = table_of(tmp_path / "r.csv")
     turned, own = rotation_of(row), rotation_of(before)
     assert turned is not None and own is not None and np.abs(turned - MOVE.rotation @ own).max() < 1e-6
+
+
+def test_what_was_not_needed_to_render_it_is_told_too(there: Placement, tmp_path: Path) -> None:
+    (tmp_path / "c.csv").write_text("#name,x,y,alt,heading,pitch,roll\na.jpg,1,2,3,north,0,0\n")
+    with pytest.raises(InputError, match=r"c\.csv: cannot be moved"):
+        move_part(Part("realityscan", tmp_path / "c.csv"), tmp_path, there)
 
 
 def test_an_offset_is_added_first(there: Placement) -> None:

@@ -109,5 +109,7 @@ def test_nothing_is_asked_of_another_machine(page: Page, tmp_path: Path) -> None
     log = tmp_path / "net.json"
     done = opened(page.address, tmp_path, f"--log-net-log={log}")
     assert 'id="root"><' in done.stdout.replace("\n", "")  # its script has drawn something
-    assert page.address.replace("http://", "ws://") in log.read_text(encoding="utf-8")  # and talks to the server
+    told = log.read_text(encoding="utf-8")
+    assert page.address.replace("http://", "ws://").rstrip("/") in told and "HTTP/1.1 101" in told  # and talks to it
+    assert "HTTP/1.1 403" not in told  # and has all that it asks for
     assert outside(log) == set()

@@ -121,8 +121,9 @@ def test_the_viewer_answers_until_it_is_interrupted(tmp_path: Path, number: int)
     with subprocess.Popen([sys.executable, "-u", "-c", code], **pipes, text=True) as viewer:
         try:
             assert viewer.stdout is not None
-            assert f"http://127.0.0.1:{port}: the viewer" in viewer.stdout.readline()
-            with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=120) as answer:
+            address, _, told = viewer.stdout.readline().partition(": the viewer")
+            assert address.startswith(f"http://127.0.0.1:{port}/") and told
+            with urllib.request.urlopen(address, timeout=120) as answer:
                 assert b"<html" in answer.read().lower()
             viewer.send_signal(number)
             assert viewer.stdout.read() == "stopped\n"  # of COLMAP's stack trace, nothing

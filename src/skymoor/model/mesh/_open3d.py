@@ -54,4 +54,15 @@ def fuse_mesh(
         raise DegenerateGeometry(NO_SURFACE) from error
     if "positions" not in mesh.vertex or "indices" not in mesh.triangle or not len(mesh.triangle.indices):
         raise DegenerateGeometry(NO_SURFACE)
-    return mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy().astype(np.int32)
+    return in_order(mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy().astype(np.int32))
+
+
+def in_order(vertices: Array32, triangles: NDArray[np.int32]) -> tuple[Array32, NDArray[np.int32]]:
+    """The same mesh by the positions of its vertices: Open3D's threads find them in another order each time."""
+    order = np.lexsort(vertices.T)
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order), dtype=np.int32)
+    ranked = rank[triangles]
+    first = ranked.argmin(axis=1)[:, None]
+    turned = np.take_along_axis(ranked, (first + np.arange(3)) % 3, axis=1)
+    return vertices[order], turned[np.lexsort(turned.T[::-1])]

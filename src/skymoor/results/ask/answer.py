@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from skymoor.engines.regular import regular
 from skymoor.errors import InputError
 from skymoor.pipeline.option_parser import with_options
 from skymoor.pipeline.options import Options
@@ -135,8 +136,8 @@ def record_answer(store: Store, person: Person) -> None:
 def answers_of(file: Path) -> Sequence[Mapping[str, Any]]:
     """The answers that were given before; none where the file is missing or damaged."""
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))["answers"]
-    except (OSError, ValueError, KeyError, TypeError):
+        found = json.loads(regular(file).read_text(encoding="utf-8"))["answers"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return []
     return found if isinstance(found, list) else []
 

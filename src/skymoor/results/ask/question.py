@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import cv2
 import numpy as np
 
+from skymoor.engines.regular import arrays_of
 from skymoor.errors import InputError
 from skymoor.reference.read import read_part
 from skymoor.results.read import ComponentSummary, Result
@@ -123,9 +123,9 @@ def _place(one: dict[str, Any]) -> Place:
 
 def _render_frame(file: Path) -> RenderFrame | None:
     try:
-        with np.load(file, allow_pickle=False) as arrays:
-            xyz = np.asarray(arrays["xyz"], dtype=np.float64)
-    except (OSError, EOFError, BadZipFile, ValueError, KeyError):
+        (kept,) = arrays_of(file, ["xyz"])
+        xyz = np.asarray(kept, dtype=np.float64).reshape(*kept.shape[:2], 3)
+    except (OSError, ValueError, TypeError):
         return None
     rows, columns = np.nonzero(np.isfinite(xyz).all(axis=-1))
     if len(rows) < LEAST_PIXELS or np.ptp(columns) == 0:

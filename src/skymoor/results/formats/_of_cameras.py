@@ -17,7 +17,7 @@ from skymoor.results.formats.geopackage import write_geopackage, write_geoparque
 from skymoor.results.formats.gltf import origin_of
 from skymoor.results.formats.kml import cameras_kml
 from skymoor.results.formats.metashape import metashape_cameras, metashape_reference
-from skymoor.results.formats.names import bare_names
+from skymoor.results.formats.names import table_names
 from skymoor.results.formats.odm import odm_gcp_list, odm_geo, odm_names
 from skymoor.results.formats.realityscan import (
     lens_groups,
@@ -118,7 +118,7 @@ def tum(source: Source, folder: Path) -> str:
 def metashape(source: Source, folder: Path) -> str:
     """For each component a reference table and an XML of poses."""
     for part, component in source.components():
-        labels = bare_names(camera.image for camera in component.cameras)
+        labels = table_names(camera.image for camera in component.cameras)
         text = metashape_reference([row for row in source.rows_of(part) if row.image in labels], labels)
         (folder / f"{part.name}.csv").write_text(text, encoding="utf-8")
         (folder / f"{part.name}.xml").write_bytes(metashape_cameras(component.cameras, labels))
@@ -130,7 +130,7 @@ def realityscan(source: Source, folder: Path) -> str:
     """For each component a flight log, a table of poses and sidecars."""
     clashes = 0
     for part, component in source.components():
-        names = bare_names(camera.image for camera in component.cameras)
+        names = table_names(camera.image for camera in component.cameras)
         own = folder / part.name
         own.mkdir()
         text = realityscan_flight_log([row for row in source.rows_of(part) if row.image in names], names)

@@ -7,6 +7,23 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import PurePosixPath
 
+from skymoor.errors import InputError
+
+
+def table_names(images: Iterable[str]) -> dict[str, str]:
+    """The same for tables that other programs read without quotation marks.
+
+    Raises `InputError` for a name that would be taken for several cells.
+    """
+    names = bare_names(images)
+    for image, name in names.items():
+        if any(letter in name for letter in ',;"\t'):
+            raise InputError(
+                f"{image}: Metashape and RealityScan part cells by commas; rename the photo without comma, semicolon, "
+                "tab and quotation mark, and run again"
+            )
+    return names
+
 
 def bare_names(images: Iterable[str]) -> dict[str, str]:
     """The file name of each image; of images of one name in several folders, that of the folder goes before it."""

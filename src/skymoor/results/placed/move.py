@@ -7,7 +7,8 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from skymoor.models.given import GivenModel, PartKind
+from skymoor.errors import InputError
+from skymoor.models.given import GivenModel, Part, PartKind
 from skymoor.pipeline.job import ComponentResult
 from skymoor.results.placed.cameras import (
     move_bundler,
@@ -26,6 +27,8 @@ from skymoor.store import Store
 from skymoor.types import Progress, Reference, no_progress
 
 PLACED = "placed"
+OF_CONTENT = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
+"""What files with values of the wrong kind make their movers raise; errors of the disk are others."""
 MOVERS: dict[PartKind, Callable[[Path, Path, Placement], list[str]]] = {
     "orthophoto": move_orthophoto,
     "dsm": move_dsm,
@@ -42,6 +45,14 @@ MOVERS: dict[PartKind, Callable[[Path, Path, Placement], list[str]]] = {
     "metashape": move_metashape,
     "realityscan": move_realityscan,
 }
+
+
+def move_part(part: Part, folder: Path, placement: Placement) -> list[str]:
+    """Write one file of a model where it belongs; notes. Raises `InputError` for one that cannot be moved."""
+    try:
+        return MOVERS[part.kind](part.path, folder, placement.offset_by(part.offset))
+    except OF_CONTENT as error:  # of what was not needed to render it
+        raise InputError(f"{part.path}: cannot be moved ({error!r:.300}); export it again") from error
 
 
 def place_model(
@@ -68,7 +79,7 @@ def place_model(
     def fill(folder: Path) -> None:
         for done, part in enumerate(given.parts):
             progress(done, len(given.parts))
-            notes.extend(MOVERS[part.kind](part.path, folder, placement.offset_by(part.offset)))
+            notes.extend(move_part(part, folder, placement))
         (folder / "georeference.json").write_text(json.dumps(placement.described(), indent=2) + "\n", encoding="utf-8")
 
     store.write_folder(PLACED, fill)

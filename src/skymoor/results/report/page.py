@@ -14,6 +14,7 @@ import numpy as np
 from jinja2 import DictLoader, Environment
 from markupsafe import Markup
 
+from skymoor.engines.regular import regular
 from skymoor.registration.criteria import remedy_of
 from skymoor.results.changes import changes_words
 from skymoor.results.mosaic import Mosaic, mosaic_of
@@ -165,9 +166,9 @@ def _residuals(result: Result, component: ComponentSummary) -> list[Markup]:
 
 def _evaluation(folder: Path) -> dict[str, Any] | None:
     try:
-        found: dict[str, Any] = json.loads((folder / "evaluation.json").read_text(encoding="utf-8"))
+        found: dict[str, Any] = json.loads(regular(folder / "evaluation.json").read_text(encoding="utf-8"))
         return found if isinstance(found["rows"], list) else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from html import escape
 from math import tan
 from typing import Any
 
@@ -212,11 +211,15 @@ def words_of(one: Frustum) -> str:
     from skymoor.results.report.words import number  # loads all criteria, a second
 
     row = one.row
-    name = "".join(letter if letter.isalnum() or letter in " /" else f"&#{ord(letter)};" for letter in row.image)
     return (
-        f"**{name}**\n\n{escape(row.set)} {row.component}\n\n"
+        f"**{_plain(row.image)}**\n\n{_plain(row.set)} {row.component}\n\n"
         f"{number(row.lat, 7)}°, {number(row.lon, 7)}°, {number(row.height)} m\n\n"
         f"E {number(row.east)} N {number(row.north)} up {number(row.up)} m\n\n"
         f"CE90 {number(row.ce90)} m, LE90 {number(row.le90)} m; "
         f"relative {number(row.relative_ce90)} and {number(row.relative_le90)} m"
     )
+
+
+def _plain(name: str) -> str:
+    """Without anything that Markdown, HTML or the expressions of MDX could take for theirs."""
+    return "".join(letter if letter.isalnum() or letter in " /" else f"&#{ord(letter)};" for letter in name)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import secrets
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from skymoor.engines.libraries import require
 from skymoor.errors import InputError
 from skymoor.geo import EnuFrame
 from skymoor.results.read import Result
+from skymoor.results.viewer.access import only_with
 from skymoor.results.viewer.cameras import CameraPanel
 from skymoor.results.viewer.scene import parts_of
 from skymoor.results.viewer.splats import Splats
@@ -59,7 +61,8 @@ class Page:
     def __init__(self, result: Result, port: int) -> None:
         """Raises `BackendUnavailable` without viser."""
         viser = require("viser", "view")
-        with redirect_stdout(io.StringIO()):  # its banner
+        self._token = secrets.token_urlsafe(16)
+        with redirect_stdout(io.StringIO()), only_with(self._token):  # without its banner
             self._server: Any = viser.ViserServer(
                 host=HOST, port=port, verbose=False, label=f"skymoor: {result.summary.get('site', '')}"
             )
@@ -79,8 +82,8 @@ class Page:
 
     @property
     def address(self) -> str:
-        """On this machine."""
-        return f"http://{HOST}:{self._server.get_port()}"
+        """On this machine, with the token that every request needs."""
+        return f"http://{HOST}:{self._server.get_port()}/{self._token}/"
 
     def load(self) -> Iterator[str]:
         """Show all that there is, one by one; yields lines about what is missing. Raises `InputError` as `parts_of`."""

@@ -124,8 +124,8 @@ def _is_file(entry: Path) -> bool:
 
 
 def _require_text(entry: Path, name: Path) -> None:
-    """Tables and COLMAP models hold names as text in UTF-8, on one line."""
-    if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in str(name)):
+    """Tables, XML and COLMAP models hold names as text in UTF-8, on one line."""
+    if any(unicodedata.category(one) in ("Cc", "Cs", "Zl", "Zp") or ord(one) & 0xFFFE == 0xFFFE for one in str(name)):
         raise InputError(f"{str(entry)!r}: its name is not readable text; rename it")
 
 

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that are there, have an end, and hold what they should."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def regular(path: Path) -> Path:
+    """The path, if it is that of a file, also by links: to read a pipe or a device may never end.
+
+    Raises `OSError`.
+    """
+    mode = path.stat().st_mode
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "is a pipe or device, and not a file", str(path))
+    return path
+
+
+def is_there(path: Path, *, folder: bool = False) -> bool:
+    """Whether there is such a file, or folder; False also for names that no file can have."""
+    try:
+        return path.is_dir() if folder else path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def arrays_of(path: Path, names: Sequence[str]) -> list[NDArray[Any]]:
+    """Arrays of an npz file by their names. Raises `OSError`, or `ValueError` for one that is damaged or has others."""
+    # numpy leaves a damaged file open that it opened itself.
+    with regular(path).open("rb") as file:
+        try:
+            with np.load(file, allow_pickle=False) as kept:
+                return [kept[name] for name in names]
+        except OSError:
+            raise
+        except Exception as error:  # of the archive, of its compression, or of the headers, which numpy reads as Python
+            raise ValueError(f"{type(error).__name__}: {str(error)[:200]}") from error
