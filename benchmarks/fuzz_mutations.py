@@ -220,7 +220,17 @@ def damage(path: Path, rng: random.Random, others: list[Path]) -> str:
         mutation = rng.choice(BY_SUFFIX.get(path.suffix.lower(), BINARY))
         try:
             data = mutation(data, rng)
-        except (ValueError, KeyError, OSError, EOFError, struct.error, zlib.error, zipfile.BadZipFile, RecursionError):
+        except (
+            ValueError,
+            LookupError,
+            MemoryError,
+            OSError,
+            EOFError,
+            struct.error,
+            zlib.error,
+            zipfile.BadZipFile,
+            RecursionError,
+        ):
             mutation, data = flipped, flipped(data, rng)  # of a file that is damaged already
         done.append(mutation.__name__)
     path.write_bytes(data)

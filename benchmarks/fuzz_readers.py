@@ -32,6 +32,7 @@ from fuzz_seeds import write_seeds
 
 LIMIT_S = 20.0
 MEMORY_BYTES = 3 * 2**30
+LARGEST_KEPT = 50_000_000  # bytes
 AT_ONCE = 400  # cases of one child: what leaks does not count for long
 WHOLE = -1  # the number of the case in which nothing is damaged
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
@@ -141,7 +142,7 @@ class Worker:
 
     def __init__(self, work: Path, seed: int) -> None:
         self._command = [sys.executable, __file__, str(work), "--child", "--seed", str(seed)]
-        self._errors = work / "stderr.txt"
+        self._work, self._errors = work, work / "stderr.txt"
         self._process: subprocess.Popen[str] | None = None
         self._left = 0
 
@@ -169,6 +170,7 @@ class Worker:
         self._process = None
         trace = self._errors.read_text(errors="replace")[-3000:]
         kind = f"signal {-status}" if ready else "hang"
+        keep(self._work, reader, case)
         return entry | {"outcome": "finding", "kind": kind, "where": _frame_of(trace), "trace": trace}
 
     def _start(self) -> None:
@@ -237,12 +239,17 @@ def outcome_of(work: Path, seed: int, reader: str, case: int, *, shown: bool = F
     done = {path.relative_to(folder).as_posix(): damage(path, rng, others) for path in chosen}
     found = examined(target, folder, chosen, shown=shown)
     if found["outcome"] == "finding":
-        kept = work / "findings" / f"{reader}-{case}"
-        for path in chosen:
-            if path.is_file() and path.stat().st_size < 50_000_000:
-                kept.mkdir(parents=True, exist_ok=True)
-                shutil.copy(path, kept / path.name)
+        keep(work, reader, case)
     return {"damage": done, **found}
+
+
+def keep(work: Path, reader: str, case: int) -> None:
+    """The damaged files of a case; all others have a second link, in the seed."""
+    for path in (work / "case" / reader).rglob("*"):
+        if path.is_file() and path.stat().st_nlink == 1 and path.stat().st_size < LARGEST_KEPT:
+            kept = work / "findings" / f"{reader}-{case}"
+            kept.mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, kept / path.name)
 
 
 if __name__ == "__main__":

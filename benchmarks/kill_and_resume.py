@@ -136,7 +136,7 @@ def kill_anywhere(
     while len(kills) < count and time.monotonic() < end:
         # Mostly soon, for many kills of one run; now and then late enough for the longest stage.
         after = rng.expovariate(10 / work_s) if rng.random() < 0.6 else rng.uniform(0, 0.7 * work_s)
-        patience = rng.uniform(0.2, 1.0) * start_s + after
+        patience = rng.uniform(0.1, 0.5) * start_s + after
         found = killed_after(command, out, stages, patience)
         kills += found
         if not found:

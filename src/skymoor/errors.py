@@ -5,6 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+LONGEST = 2000
+"""Letters of a message."""
+
 
 class SkymoorError(Exception):
     """Base of all errors that skymoor raises on purpose."""
@@ -17,7 +20,10 @@ class InputError(SkymoorError):
     """
 
     def __init__(self, message: object = "", details: Sequence[str] = ()) -> None:
-        super().__init__(message)
+        text = str(message)
+        if len(text) > LONGEST:  # what repeats a word of a file repeats all of it
+            text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
+        super().__init__(text)
         self.details = tuple(details)
 
 

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rasterio.errors import RasterioIOError
 
 from skymoor.batch.sites import SiteTask, outcome_of
-from skymoor.engines.regular import arrays_of, is_there, regular
+from skymoor.engines.regular import arrays_of, is_of_content, is_there, reason_of, regular
 from skymoor.errors import InputError
 from skymoor.pipeline.control_files import read_control
 from skymoor.pipeline.control_places import Stated
@@ -94,3 +95,25 @@ def test_arrays_that_are_damaged_or_not_there(tmp_path: Path) -> None:
     path.write_bytes(whole)
     with pytest.raises(ValueError, match="KeyError"):
         arrays_of(path, ["y"])
+
+
+class PanicException(BaseException):
+    """As libraries in Rust raise it."""
+
+
+def test_what_parsers_raise_is_of_the_content() -> None:
+    for error in (ValueError(), RecursionError(), MemoryError(), RasterioIOError("no raster"), PanicException("no")):
+        assert is_of_content(error)
+    for error in (OSError(28, "No space left on device"), PermissionError(), KeyboardInterrupt(), SystemExit()):
+        assert not is_of_content(error)
+    assert reason_of(ValueError("\n first\nsecond")) == " first" and reason_of(MemoryError()) == "MemoryError"
+    assert len(reason_of(ValueError("x" * 9999))) < 1000 and len(str(InputError("x" * 9999))) < 2100
+    whole = InputError("file.csv: " + "x" * 9999 + "; remove it")
+    assert str(whole).startswith("file.csv: ") and str(whole).endswith("; remove it")
+
+
+def test_a_member_that_is_no_array(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
+        file.writestr("x", b"text")
+    with pytest.raises(ValueError, match="no array"):
+        arrays_of(tmp_path / "a.npz", ["x"])

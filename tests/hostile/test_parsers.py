@@ -18,8 +18,13 @@ from skymoor.cli.arguments import Evaluate
 from skymoor.cli.commands import evaluate
 from skymoor.errors import InputError
 from skymoor.geo import EnuFrame
+from skymoor.pipeline.control_files import read_control
+from skymoor.pipeline.control_places import Stated
 from skymoor.pipeline.options import Options
+from skymoor.pipeline.reference_files import earlier_run
 from skymoor.pipeline.site import load_site, parse_option, with_options
+from skymoor.results.read import Result
+from skymoor.results.request import site_of_run
 from skymoor.results.tables import read_cameras_csv, read_truth_csv
 from support.finished import summary_of_run
 from support.tiny_site import SITE, make_site
@@ -92,6 +97,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @example(SITE.replace("2.5", "1" + "0" * 400).encode())
 @example(SITE.replace("ortho.tif", "x" * 5000).encode())
 @example(SITE.replace("ortho.tif", "\\u0000").encode())
+@example(SITE.replace("2.5", "1e300").encode())
+@example((SITE + f"[prior]\nnear = [47, 8, 1{'0' * 400}]").encode())
 @example((SITE + "[options]\n'match.min_height_m' = 1" + "0" * 400).encode())
 @example(SITE.replace("ce90 = 2.5\nle90 = 3.8", f"covariance = [[1{'0' * 400},0,0],[0,1,0],[0,0,1]]").encode())
 def test_site_toml(site: Path, raw: bytes) -> None:
@@ -157,6 +164,7 @@ def finished(folder: Path) -> Path:
 @given(anything(json.dumps(SUMMARY)))
 @example(b"[]")
 @example(b"\xff")
+@example(json.dumps({**SUMMARY, "enu_origin": {"lat": 10**400, "lon": 0, "height": 0}}).encode())
 @example(b"[" * 100_000)
 @example(json.dumps({**SUMMARY, "sets": None}).encode())
 @example(json.dumps({**SUMMARY, "enu_origin": {"lat": 99, "lon": 0, "height": 0}}).encode())
@@ -180,3 +188,31 @@ def test_what_is_fuzzed_is_valid(site: Path, tmp_path: Path) -> None:
         check()
     (tmp_path / "truth.csv").write_text(TRUTH)
     assert len(read_truth_csv(tmp_path / "truth.csv")) == 2 == len(read_cameras_csv(tmp_path / "cameras.csv"))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"enu_origin": {"lat": 91, "lon": 0, "height": 0}},
+        {"reference": {"covariance_m2": [[1, 0, 0], [9, 1, 0], [0, 0, 1]]}},
+        {"enu_origin": {"lat": 10**400, "lon": 0, "height": 0}},
+        {"sets": [{"set": "airborne", "components": ["x"]}]},
+        {"reference": {"covariance_m2": None, "ortho": 1}, "request": {"ortho_address": None}, "sets": [3]},
+    ],
+)
+def test_a_run_with_values_of_the_wrong_kind_names_its_summary(wrong: dict[str, object], tmp_path: Path) -> None:
+    run = finished(tmp_path)
+    (run / "summary.json").write_text(json.dumps({**SUMMARY, **wrong}))
+    for name in ("ortho.tif", "dsm.tif"):
+        (run / name).write_bytes(b"")
+    for read in (lambda: site_of_run(Result.read(run)), lambda: earlier_run(run)):
+        with pytest.raises(InputError, match=r"summary\.json"):
+            read()
+
+
+@pytest.mark.parametrize("cell", ["1" * 200_000, '"' + "x" * 200_000 + '"'])
+def test_a_line_of_control_without_end_is_a_line(cell: str, tmp_path: Path) -> None:
+    (tmp_path / "bars.csv").write_text(f"point_a,point_b,length_m,sigma_m\na,b,{cell},1\n")
+    with pytest.raises(InputError, match=r"bars\.csv, line 2") as error:
+        read_control([tmp_path / "bars.csv"], Stated())
+    assert len(str(error.value)) < 1000

@@ -119,6 +119,15 @@ def text_of_no_code(site: Path) -> None:
     toml("dsm.tif", "dsm.vrt")(site)
 
 
+def sheared(site: Path) -> None:
+    """A world file without end in one number."""
+    Image.fromarray(picture(0, 80, 80)).save(site / "ortho.png")
+    (site / "ortho.pgw").write_text(f"0.5\n{10**25}\n0\n-0.5\n{EAST_M}\n{NORTH_M}\n")
+    srs = rasterio.crs.CRS.from_epsg(32617).to_wkt()
+    (site / "ortho.png.aux.xml").write_text(f"<PAMDataset><SRS>{srs}</SRS></PAMDataset>")
+    toml("ortho.tif", "ortho.png")(site)
+
+
 def pipe_beside(site: Path) -> None:
     os.mkfifo(site / "dsm.tif.aux.xml")
 
@@ -159,6 +168,7 @@ CASES = [
     Case("a zip", content("dsm.tif", b"PK\3\4" + bytes(99)), ("dsm.tif", "cannot be read as a raster")),
     Case("vrt of what is gone", broken_vrt, ("dsm.vrt", "is it complete")),
     Case("vrt in no code of letters", text_of_no_code, ("dsm.vrt", "cannot be read as a raster")),
+    Case("pixels without size", sheared, ("ortho.png", "check the geotransform or world file")),
     Case("a pipe beside it", pipe_beside, ("dsm.tif.aux.xml", "is a pipe", "remove it")),
     Case("a folder", toml('"dsm.tif"', '"airborne"'), ("site.toml", "reference.dsm", "no file")),
     Case("horizontal datum", toml('"ellipsoid"', '"EPSG:32617"'), ("EPSG:32617", "no vertical datum")),

@@ -12,8 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from skymoor.engines.colmap import write_colmap
 from skymoor.errors import InputError
 from skymoor.models import read_model
+from skymoor.models.colmap import open_colmap
+from support.blocks import block
 from support.given_models import write_las, write_ply, write_raster
 
 
@@ -128,6 +131,25 @@ def billions_of_records(folder: Path) -> Path:
     return path
 
 
+def billions_of_chunks(folder: Path) -> Path:
+    path = write_las(folder / "m.laz", points())
+    content = bytearray(path.read_bytes())
+    (table,) = struct.unpack_from("<q", content, struct.unpack_from("<I", content, 96)[0])
+    struct.pack_into("<I", content, table + 4, 2**31)
+    path.write_bytes(content)
+    return path
+
+
+def degenerate_pose(folder: Path) -> Path:
+    write_ply(folder / "m.ply", points())
+    sensor = '<sensor id="0"><calibration><resolution width="90" height="70"/><f>80</f></calibration></sensor>'
+    chunk = "<transform><rotation>1 0 0 0 1 0 0 0 0</rotation><scale>1</scale></transform>"
+    camera = '<camera id="0" sensor_id="0" label="a"><transform>1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</transform></camera>'
+    body = f"<sensors>{sensor}</sensors><cameras>{camera}</cameras><reference>LOCAL_CS[]</reference>{chunk}"
+    (folder / "m.xml").write_text(f'<document version="2.0"><chunk>{body}</chunk></document>')
+    return folder
+
+
 def no_end_of_zeros(folder: Path) -> Path:
     """A splat of a hundred million points that holds 64 MB of zeros, many times over."""
     zeros = gzip.compress(bytes(1 << 26), 1)
@@ -235,6 +257,8 @@ def not_there(folder: Path) -> Path:
         (mesh_gltf(meshes=[{"primitives": [None]}]), "gltf"),
         (mesh_gltf(buffers=[{"uri": True}]), "gltf"),
         (billions_of_records, "records in its header"),
+        (billions_of_chunks, "records in its header"),
+        (degenerate_pose, "m.xml: is no file of Metashape"),
         (no_end_of_zeros, "version"),
         (splat_without_colours, "ply"),
         (bundle_with_a_list_of_nothing, "list of Bundler"),
@@ -266,3 +290,34 @@ def test_two_sets_of_cameras_are_no_model(tmp_path: Path) -> None:
             (tmp_path / name / f"{file}.txt").write_text("")
     with pytest.raises(InputError, match="one model at a time"):
         read_model([tmp_path / "a", tmp_path / "b"])
+
+
+@pytest.mark.parametrize(
+    ("name", "at", "kind"),
+    [
+        ("cameras", 0, "<Q"),
+        ("images", 0, "<Q"),
+        ("points3D", 8 + 43, "<Q"),
+        ("frames", 8 + 64, "<I"),
+        ("rigs", 8 + 4, "<I"),
+    ],
+)
+def test_colmap_is_not_let_loose_on_claims_without_end(name: str, at: int, kind: str, tmp_path: Path) -> None:
+    component = block("oblique", relief_m=3.0)
+    write_colmap(component, tmp_path)
+    assert len(open_colmap(tmp_path).images) == len(component.cameras)
+    path = tmp_path / f"{name}.bin"
+    content = bytearray(path.read_bytes())
+    struct.pack_into(kind, content, at, 2**31)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"{name}\.bin: is cut off"):
+        open_colmap(tmp_path)
+
+
+def test_colmap_does_not_go_along_the_border_of_an_image_without_end(tmp_path: Path) -> None:
+    write_colmap(block("oblique", relief_m=3.0), tmp_path)
+    content = bytearray((tmp_path / "cameras.bin").read_bytes())
+    struct.pack_into("<Q", content, 16, 2**33)
+    (tmp_path / "cameras.bin").write_bytes(content)
+    with pytest.raises(InputError, match=r"8589934592 by \d+ pixels; export the model again"):
+        read_model([tmp_path])

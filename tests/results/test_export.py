@@ -144,6 +144,19 @@ def test_a_damaged_raster_of_the_run_is_told(tmp_path: Path) -> None:
         assert not (tmp_path / "out/cog").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "product"), [("copc", "pointcloud.laz"), ("ply", "pointcloud.laz"), ("gltf", "dsm.tif")]
+)
+def test_a_damaged_product_of_the_run_is_told(name: str, product: str, tmp_path: Path) -> None:
+    folder = write_run(tmp_path)
+    content = (folder / product).read_bytes()
+    for damaged in (b"", content[: len(content) // 3], b"?" * 400):
+        (folder / product).write_bytes(damaged)
+        with pytest.raises(InputError, match=f"cannot be written as {name}"):
+            export(Result.read(folder), [name], tmp_path / "out", lambda _: None)
+        assert not (tmp_path / "out" / name).exists()
+
+
 def test_a_large_cog_has_overviews(tmp_path: Path) -> None:
     from skymoor.results.formats import write_cog
 

@@ -7,11 +7,12 @@ from collections.abc import Iterator
 
 from skymoor.errors import InputError
 
-LEAST_BYTES = 2_000_000_000
-"""Libraries alone map 1.3 GB, and COLMAP ends the process where it can start no thread."""
+LEAST_BYTES = 2_400_000_000
+"""Libraries alone map 2.1 GB, and COLMAP ends the process where it can start no thread."""
 WORDS = (
     "failed to map segment",
     "cannot allocate memory",
+    "cannot map zero-fill pages",
     "can't start new thread",
     "insufficient memory",
     "bad_alloc",
@@ -27,7 +28,7 @@ def require_address_space() -> None:
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit not in (resource.RLIM_INFINITY, -1) and limit < LEAST_BYTES:
         raise InputError(
-            f"this process may map {limit / 1e9:.1f} GB of memory, and needs {LEAST_BYTES / 1e9:.0f} at least, and "
+            f"this process may map {limit / 1e9:.1f} GB of memory, and needs {LEAST_BYTES / 1e9:.1f} at least, and "
             "more for large sites; raise the limit with ulimit -v"
         )
 

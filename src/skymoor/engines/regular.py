@@ -13,6 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+LONGEST = 300
+"""Letters of what a parser says."""
+
 
 def regular(path: Path) -> Path:
     """The path, if it is that of a file, also by links: to read a pipe or a device may never end.
@@ -35,13 +38,33 @@ def is_there(path: Path, *, folder: bool = False) -> bool:
         return False
 
 
+def is_of_content(error: BaseException) -> bool:
+    """Whether an error came of what a file holds, as parsers raise them in many ways, and not of the disk.
+
+    A library in Rust raises errors that are no `Exception`; those of GDAL are errors of the disk, too.
+    """
+    if type(error).__name__ == "PanicException":
+        return True
+    if isinstance(error, OSError):
+        return type(error).__module__.startswith("rasterio")
+    return isinstance(error, Exception)
+
+
+def reason_of(error: BaseException) -> str:
+    """The first line of an error, and not all that it repeats of the file."""
+    return next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)[:LONGEST]
+
+
 def arrays_of(path: Path, names: Sequence[str]) -> list[NDArray[Any]]:
     """Arrays of an npz file by their names. Raises `OSError`, or `ValueError` for one that is damaged or has others."""
     # numpy leaves a damaged file open that it opened itself.
     with regular(path).open("rb") as file:
         try:
             with np.load(file, allow_pickle=False) as kept:
-                return [kept[name] for name in names]
+                found = [kept[name] for name in names]
+            if not all(isinstance(one, np.ndarray) for one in found):
+                raise TypeError("what it holds is no array")
+            return found
         except OSError:
             raise
         except Exception as error:  # of the archive, of its compression, or of the headers, which numpy reads as Python

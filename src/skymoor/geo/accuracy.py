@@ -17,6 +17,7 @@ CE90_PER_SIGMA = float(np.sqrt(-2.0 * np.log(1.0 - PROBABILITY)))
 LE90_PER_SIGMA = 1.6448536269514722  # quantile of the normal distribution at (1 + PROBABILITY) / 2
 # Standard deviation of heights about which nothing is known: land is between -430 and 8850 m.
 UNKNOWN_HEIGHT_SIGMA_M = 5000.0
+LARGEST_M = 1e6  # of a CE90 or LE90: more is a mistake
 
 
 UNKNOWN_ACCURACY: Array = np.full((3, 3), np.nan)
@@ -29,8 +30,8 @@ def covariance_from_ce90_le90(ce90_m: float, le90_m: float) -> Array:
     Raises `InputError` when a figure is not a positive number of metres.
     """
     for name, value in (("ce90", ce90_m), ("le90", le90_m)):
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(f"{name} = {value} must be a positive number of metres")
+        if not 0 < value < LARGEST_M:
+            raise InputError(f"{name} = {value} must be a positive number of metres, below {LARGEST_M:.0f}")
     horizontal, vertical = (ce90_m / CE90_PER_SIGMA) ** 2, (le90_m / LE90_PER_SIGMA) ** 2
     return np.diag([horizontal, horizontal, vertical])
 

@@ -18,6 +18,7 @@ from skymoor.store.photos import PhotoFile, check_photos, photos_of
 from skymoor.types import Array32, Component, Image, Photos
 
 FEWEST_PHOTOS = 3
+LARGEST_SIDE_PX = 100_000  # COLMAP goes along the border, pixel by pixel
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,10 @@ def without_distortion(model: pycolmap.Reconstruction, path: Path) -> dict[str, 
     """
     lenses: dict[int, Lens] = {}
     for camera_id, camera in list(model.cameras.items()):
+        if not (0 < camera.width <= LARGEST_SIDE_PX and 0 < camera.height <= LARGEST_SIDE_PX):
+            raise InputError(
+                f"{path}: camera {camera_id} has {camera.width} by {camera.height} pixels; export the model again"
+            )
         try:
             intrinsics_of(camera)
         except DegenerateGeometry:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skymoor.engines.regular import regular
-from skymoor.errors import InputError, SkymoorError
+from skymoor.engines.regular import is_of_content, reason_of, regular
+from skymoor.errors import BackendUnavailable, InputError
 from skymoor.types import Array
 
 FEWEST_POINTS = 500
@@ -24,8 +24,6 @@ EARTH_RADII_M = 6.33e6, 6.40e6
 SMALLEST, LARGEST = 1e-9, 1e9
 """Extents of models in any unit that anybody uses."""
 THINNEST = 1e-6
-LONGEST = 300
-"""Letters of what a parser says, which may repeat the file."""
 
 
 @contextmanager
@@ -33,11 +31,12 @@ def readable(path: Path, kind: str) -> Iterator[None]:
     """Turn whatever a damaged file makes its reader raise into an `InputError`: it is no `kind`."""
     try:
         yield
-    except SkymoorError:
+    except (InputError, BackendUnavailable):
         raise
-    except Exception as error:  # parsers of others stumble in many ways, and ours over values of the wrong kind
-        reason = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
-        raise InputError(f"{path}: is no {kind} that can be read ({reason[:LONGEST]}); export it again") from error
+    except BaseException as error:  # parsers of others stumble in many ways, and ours over values of the wrong kind
+        if not (is_of_content(error) or isinstance(error, OSError)):
+            raise
+        raise InputError(f"{path}: is no {kind} that can be read ({reason_of(error)}); export it again") from error
 
 
 def json_of(path: Path) -> Any:

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 
-from skymoor.engines.regular import is_there
+from skymoor.engines.regular import is_there, regular
 from skymoor.errors import InputError
 from skymoor.models.cameras import component_and_photos
 from skymoor.models.checks import checked_points, readable
@@ -18,10 +19,6 @@ from skymoor.models.given import Cloud, GivenModel, Part
 FILES = ("cameras", "images", "points3D")
 INSIDE = ("", "sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "dense/0/sparse")
 FEWEST_POINTS = 100
-SMALLEST_BYTES = {"cameras": 48, "images": 73, "points3D": 51}
-"""Of one camera, image or point in a binary file."""
-IMAGE_HEAD, OBSERVATION = 64, 24
-"""Bytes before an image's name, and of each of its observations."""
 WITHOUT_PHOTOS = "{}: its photos are not beside it, so its points alone are rendered; name their folder with --photos"
 
 
@@ -60,33 +57,64 @@ def read_colmap(path: Path, photos: Path | None = None) -> GivenModel:
 
 def open_colmap(folder: Path) -> pycolmap.Reconstruction:
     """The model as COLMAP has it. Raises `InputError` where it cannot be read."""
-    _require_whole(folder)
     with readable(folder, "COLMAP model"):
+        for file in folder.iterdir():
+            if not file.is_dir():
+                regular(file)
+        _require_whole(folder)
         return pycolmap.Reconstruction(str(folder))
 
 
 def _require_whole(folder: Path) -> None:
-    """COLMAP reads on for minutes behind the end of a binary file that was cut off."""
-    for name, least in SMALLEST_BYTES.items():
+    """COLMAP reads on for hours behind the end of a binary file that was cut off, or claims more than it has."""
+    for name, after_record in RECORDS.items():
         path = folder / f"{name}.bin"
         if not path.is_file():
             continue
         data = path.read_bytes()
-        count = struct.unpack_from("<Q", data)[0] if len(data) >= 8 else 1
-        whole = 8 + count * least <= len(data)
-        if not whole or (name == "images" and not _images_end(data, count)):
+        try:
+            count, at = int(struct.unpack_from("<Q", data)[0]), 8
+            while count and at <= len(data):
+                at, count = after_record(data, at), count - 1
+        except (struct.error, ValueError):
+            at = len(data) + 1
+        if at > len(data):
             raise InputError(f"{path}: is cut off or no file of a COLMAP model; export the model again")
 
 
-def _images_end(data: bytes, count: int) -> bool:
-    """Whether all images, with their observations, lie within the file."""
-    at = 8
-    for _ in range(count):
-        name_end = data.find(b"\0", at + IMAGE_HEAD)
-        if name_end < 0 or name_end + 9 > len(data):
-            return False
-        at = name_end + 9 + OBSERVATION * int(struct.unpack_from("<Q", data, name_end + 1)[0])
-    return at <= len(data)
+def _after_camera(data: bytes, at: int) -> int:
+    return at + 40  # at least: how many parameters follow depends on its model, which COLMAP checks
+
+
+def _after_image(data: bytes, at: int) -> int:
+    name_end = data.index(b"\0", at + 64)
+    return name_end + 9 + 24 * int(struct.unpack_from("<Q", data, name_end + 1)[0])
+
+
+def _after_point(data: bytes, at: int) -> int:
+    return at + 51 + 8 * int(struct.unpack_from("<Q", data, at + 43)[0])
+
+
+def _after_frame(data: bytes, at: int) -> int:
+    return at + 68 + 16 * int(struct.unpack_from("<I", data, at + 64)[0])
+
+
+def _after_rig(data: bytes, at: int) -> int:
+    sensors = int(struct.unpack_from("<I", data, at + 4)[0])
+    at += 16 if sensors else 8
+    for _ in range(sensors - 1):  # all but the one of reference say whether a pose follows
+        at += 65 if struct.unpack_from("<?", data, at + 8)[0] else 9
+    return at
+
+
+RECORDS: dict[str, Callable[[bytes, int], int]] = {
+    "cameras": _after_camera,
+    "images": _after_image,
+    "points3D": _after_point,
+    "frames": _after_frame,
+    "rigs": _after_rig,
+}
+"""Where a record of a binary file ends that begins at a byte. They raise `ValueError` and `struct.error` beyond it."""
 
 
 def found_photos(names: list[str], stated: Path | None, *beside: Path) -> dict[str, Path]:

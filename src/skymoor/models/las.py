@@ -20,6 +20,7 @@ HEADER_BYTES = 375
 RECORDS = ((100, 54), (243, 60))
 """Where the header has the numbers of records of variable length, since LAS 1.4 also behind the points, and how many
 bytes one has at least."""
+COMPRESSED = 0x80  # in the number of the point format, of LAZ; its table of chunks lies where the points begin to say
 MOST_POINTS = 8_000_000
 """Points that are rendered, evenly thinned out; all of them are moved."""
 
@@ -47,14 +48,18 @@ def read_las(path: Path) -> GivenModel:
 
 
 def _require_short_header(path: Path) -> None:
-    """laspy reads on for hours behind the end of a file that claims billions of records. Raises `ValueError`."""
+    """Readers go on for hours, or end the process, where a file claims billions of records. Raises `ValueError`."""
+    size = path.stat().st_size
     with path.open("rb") as file:
-        head = file.read(HEADER_BYTES)
-    for at, least in RECORDS:
-        claimed = (
-            struct.unpack_from("<I", head, at)[0] if len(head) >= at + 4 and head[25] >= (4 if at > 200 else 0) else 0
-        )
-        if claimed * least > path.stat().st_size:
+        head = file.read(HEADER_BYTES).ljust(HEADER_BYTES, b"\0")
+        claims = [(struct.unpack_from("<I", head, at)[0], least) for at, least in RECORDS if at < 200 or head[25] >= 4]
+        if head[104] & COMPRESSED:
+            file.seek(min(struct.unpack_from("<I", head, 96)[0], size))
+            at = struct.unpack("<q", file.read(8).ljust(8, b"\0"))[0]
+            file.seek(at if 0 <= at < size else size)
+            claims.append((struct.unpack("<II", file.read(8).ljust(8, b"\0"))[1], 1))
+    for claimed, least in claims:
+        if claimed * least > size:
             raise ValueError(f"it claims {claimed} records in its header, and is too short for them")
 
 

@@ -69,7 +69,8 @@ def read_model(paths: Sequence[Path], photos: Path | None = None) -> GivenModel:
     models += [_read(one, photos) for one in sorted(found, key=_size) if one.kind in SURFACES]
     rasters = [one.path for one in found if one.kind == "raster"]
     if rasters:
-        models.append(_of_rasters(rasters))
+        with readable(rasters[0], "orthophoto"):
+            models.append(_of_rasters(rasters))
     beside = [one for one in found if one.kind in ("metashape", "realityscan")]
     joined = _joined(models, beside)
     return _with_cameras(joined, beside, photos) if beside else joined

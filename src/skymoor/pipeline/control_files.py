@@ -95,8 +95,11 @@ def _table(path: Path, lines: Sequence[tuple[int, str]]) -> Table | None:
         raise InputError(f"{path}: the column {missing[0]} is missing; a table of this kind has {','.join(wanted)}")
     rows: list[tuple[str, Mapping[str, str]]] = []
     for k, line in lines[1:]:
-        cells = [cell.strip() for cell in next(csv.reader([line]))]
         where = f"{path}, line {k}"
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([line]))]
+        except csv.Error as error:
+            raise InputError(f"{where}: is no line of a table: {error}") from error
         if len(cells) != len(header):
             raise InputError(f"{where}: has {len(cells)} cells, the first line {len(header)}")
         rows.append((where, dict(zip(header, cells, strict=True))))

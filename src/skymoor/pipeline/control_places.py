@@ -110,7 +110,7 @@ def number_of(text: str, name: str, where: str, *, may_be_nan: bool = False) -> 
     try:
         number = float(text)
     except ValueError:
-        raise InputError(f"{where}: {name} = {text!r} is not a number") from None
+        raise InputError(f"{where}: {name} = {text[:100]!r} is not a number") from None
     if not isfinite(number) and not (may_be_nan and isnan(number)):
         raise InputError(f"{where}: {name} = {text} must be a finite number")
     return number

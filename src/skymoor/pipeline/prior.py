@@ -17,6 +17,7 @@ from skymoor.types import Camera
 HEIGHT_TOLERANCE = 1.25
 """Ratio to either side of a flying height that is stated: it varies with the ground, and is told as a round number."""
 KEYS = ("area", "near", "heading", "height")
+LARGEST = 1e9  # of any number that is stated; whole ones of TOML have no end
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ def prior_from_table(table: Mapping[str, object], where: str) -> SearchPrior:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
 
 
 def _box(area: Sequence[float] | None, name: str) -> tuple[float, float, float, float] | None:

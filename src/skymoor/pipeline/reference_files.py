@@ -63,7 +63,7 @@ def earlier_run(folder: Path) -> ReferenceFiles:
         parts = [part for one in summary["sets"] for part in one["components"] if part["status"] == "REGISTERED"]
         rights = {key: summary["reference"][key] for key in RIGHTS if summary["reference"].get(key)}
         known = summary["reference"]["covariance_m2"] is not None
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: no summary of a finished run ({error}); name the folder of a run") from error
     ortho, dsm = folder / "ortho.tif", folder / "dsm.tif"
     missing = next((one for one in (ortho, dsm) if not one.is_file()), None)

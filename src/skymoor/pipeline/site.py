@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from skymoor.engines.regular import is_there
 from skymoor.errors import InputError
 from skymoor.geo import UNKNOWN_ACCURACY, UNKNOWN_HEIGHT_SIGMA_M, checked_covariance, covariance_from_ce90_le90
-from skymoor.geo.accuracy import LE90_PER_SIGMA
+from skymoor.geo.accuracy import LARGEST_M, LE90_PER_SIGMA
 from skymoor.pipeline.addressed import DSM, ORTHO, addressed
 from skymoor.pipeline.option_parser import parse_option, with_options
 from skymoor.pipeline.prior import KEYS, Person, SearchPrior, prior_from_table
@@ -286,8 +286,8 @@ def _from_ce90_le90(
         # All at once, or they would be met one after the other.
         missing += ["vertical_datum"] if vertical_datum is None and not _states_datum(dsm) else []
         raise InputError(not_stated(missing, where), details=USUAL)
-    if not (0 < ce90 < np.inf and 0 < le90 < np.inf):
-        raise InputError(f"{where}: ce90 = {ce90} and le90 = {le90} must be metres above zero")
+    if not (0 < ce90 < LARGEST_M and 0 < le90 < LARGEST_M):
+        raise InputError(f"{where}: ce90 = {ce90} and le90 = {le90} must be metres above zero, below {LARGEST_M:.0f}")
     return covariance_from_ce90_le90(ce90, le90)
 
 

@@ -33,6 +33,7 @@ Array32 = NDArray[np.float32]
 GDAL_CACHE_BYTES = 256 * 2**20
 # Largest strip or tile of a raster: GDAL decodes whole ones.
 LARGEST_BLOCK_BYTES = 512e6
+FARTHEST_PX = 1e9  # outside of every raster
 
 
 def raster_files(*paths: Path) -> list[Path]:
@@ -235,7 +236,7 @@ def has_palette(source: DatasetReader) -> bool:
 
 def window_around(px: Array, shape: tuple[int, int], step: tuple[int, int]) -> Window | None:
     """Window of a raster of that shape, on whole blocks of `step`, around pixels (n, 2); None if they are outside."""
-    px = px[np.isfinite(px).all(axis=1)]
+    px = np.clip(px[np.isfinite(px).all(axis=1)], -FARTHEST_PX, FARTHEST_PX)
     if not len(px):
         return None
     block = np.array([step[1], step[0]])

@@ -38,6 +38,7 @@ WINDOW_PX = 2048
 # Pixels of one source in the overlap; they take ten minutes to read.
 LARGEST_OVERLAP_PX = 4e9
 MIN_SIDE_PX = 8
+SMALLEST_PIXEL_M = 1e-9
 UNKNOWN_ACCURACY_NOTE = (
     "its accuracy is stated to be unknown, so what is registered to it has an accuracy relative to it alone, and "
     "no CE90 and LE90 on Earth"
@@ -261,6 +262,8 @@ def _colour_tile(
 
 def _tile_px(maps: Sequence[MapRaster], frame: EnuFrame, grid: Grid) -> int:
     finest = min(float(np.linalg.norm(raster.pixel_sides_m(frame), axis=1).min()) for raster in maps)
+    if not SMALLEST_PIXEL_M < finest < np.inf:
+        raise InputError(f"{maps[0].path}: its pixels have no size on the ground; check the geotransform or world file")
     # A cut reads every pixel up to twice as many as it needs, and subsamples beyond.
     samples = min(grid.pixel_m / finest, 2.0 * SAMPLES)
     return int(np.clip(WINDOW_PX / samples, 32, TILE_PX))

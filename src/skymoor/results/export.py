@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from skymoor import __version__
-from skymoor.engines.regular import regular
+from skymoor.engines.regular import is_of_content, reason_of, regular
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.pipeline.option_parser import nearest
 from skymoor.results.formats._registry import FORMATS
 from skymoor.results.formats._source import Source
-from skymoor.results.read import Result
+from skymoor.results.read import RUN_FIRST, Result
 from skymoor.store import PRODUCTS, atomic_folder
 from skymoor.types import Progress, no_progress
 
@@ -75,7 +75,7 @@ def chosen_formats(names: Sequence[str]) -> list[str]:
 
 
 def _fill(source: Source, name: str, folder: Path) -> None:
-    heights = FORMATS[name](source, folder)
+    heights = _heights_of(source, name, folder)
     if source.without_heights:
         heights = "none where they are NOT_CONFIRMED" if name in WITHOUT_HEIGHTS else RELATIVE
         source.notes.append(f"heights: {heights}")
@@ -84,6 +84,19 @@ def _fill(source: Source, name: str, folder: Path) -> None:
     reference = {key: value for key in CREDITS if (value := source.result.summary["reference"].get(key))}
     about |= {"reference": reference} if reference else {}
     (folder / NOTE).write_text(json.dumps(about, indent=1), encoding="utf-8")
+
+
+def _heights_of(source: Source, name: str, folder: Path) -> str:
+    """What the format says of its heights, once it is written. Raises `InputError` where products are damaged."""
+    try:
+        return FORMATS[name](source, folder)
+    except (InputError, BackendUnavailable):
+        raise
+    except BaseException as error:
+        if not is_of_content(error):
+            raise
+        why = f"cannot be written as {name} ({reason_of(error)})"
+        raise InputError(f"{source.result.folder}: {why}; {RUN_FIRST}") from error
 
 
 def _require_out(result: Result, out: Path) -> None:

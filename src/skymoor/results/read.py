@@ -15,7 +15,7 @@ from skymoor.engines.libraries import require
 from skymoor.engines.regular import arrays_of, regular
 from skymoor.errors import InputError
 from skymoor.evaluate import EvaluationRow, evaluate
-from skymoor.geo import UNKNOWN_ACCURACY, EnuFrame
+from skymoor.geo import UNKNOWN_ACCURACY, EnuFrame, checked_covariance
 from skymoor.geometry import Similarity
 from skymoor.results.geodataframes import Layer, geodataframe
 from skymoor.results.tables import CAMERA_COLUMNS, CameraRow, read_camera_rows, read_cameras_csv, read_truth_csv
@@ -102,9 +102,11 @@ class Result:
             origin = summary["enu_origin"]
             frame = EnuFrame(float(origin["lat"]), float(origin["lon"]), float(origin["height"]))
             stated = summary["reference"]["covariance_m2"]
-            covariance = UNKNOWN_ACCURACY if stated is None else np.array(stated, dtype=np.float64)
+            covariance = UNKNOWN_ACCURACY if stated is None else checked_covariance(stated, name="covariance_m2")
             components = tuple(_component(one["set"], part) for one in summary["sets"] for part in one["components"])
-        except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        except InputError as error:  # of an origin that is not on Earth, a covariance that is none
+            raise InputError(f"{path}: {error}") from error
+        except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
             raise InputError(f"{path}: no summary of a finished run ({error}); {RUN_FIRST}") from error
         return cls(Path(folder), summary, frame, covariance, components)
 
@@ -159,14 +161,12 @@ class Result:
 
     def model(self, component: ComponentSummary) -> pycolmap.Reconstruction:
         """The COLMAP model of a component in ENU metres. Raises `InputError` where it has none, or it is damaged."""
-        import pycolmap
+        from skymoor.models.colmap import open_colmap  # here, since it loads COLMAP
 
         folder = self.folder / "colmap" / component.name
         try:
-            for file in folder.iterdir():
-                regular(file)
-            return pycolmap.Reconstruction(str(folder))
-        except Exception as error:  # of a file that is cut off, anything
+            return open_colmap(folder)
+        except InputError as error:
             raise InputError(f"{folder}: no COLMAP model of the run; {RUN_FIRST}") from error
 
     def residuals(self, component: ComponentSummary) -> Array | None:

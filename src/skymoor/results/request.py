@@ -120,5 +120,5 @@ def site_of_run(result: Result) -> Site:
             control=control_from_plain(request.get("control")),
             addressed=None if addressed is None else Addressed(addressed, request["dsm_address"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{file}: is damaged or of another version ({error!r}); {again}") from error

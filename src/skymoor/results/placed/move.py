@@ -7,7 +7,8 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from skymoor.errors import InputError
+from skymoor.engines.regular import is_of_content, reason_of
+from skymoor.errors import BackendUnavailable, InputError
 from skymoor.models.given import GivenModel, Part, PartKind
 from skymoor.pipeline.job import ComponentResult
 from skymoor.results.placed.cameras import (
@@ -27,8 +28,6 @@ from skymoor.store import Store
 from skymoor.types import Progress, Reference, no_progress
 
 PLACED = "placed"
-OF_CONTENT = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
-"""What files with values of the wrong kind make their movers raise; errors of the disk are others."""
 MOVERS: dict[PartKind, Callable[[Path, Path, Placement], list[str]]] = {
     "orthophoto": move_orthophoto,
     "dsm": move_dsm,
@@ -51,8 +50,12 @@ def move_part(part: Part, folder: Path, placement: Placement) -> list[str]:
     """Write one file of a model where it belongs; notes. Raises `InputError` for one that cannot be moved."""
     try:
         return MOVERS[part.kind](part.path, folder, placement.offset_by(part.offset))
-    except OF_CONTENT as error:  # of what was not needed to render it
-        raise InputError(f"{part.path}: cannot be moved ({error!r:.300}); export it again") from error
+    except (InputError, BackendUnavailable):
+        raise
+    except BaseException as error:  # of what was not needed to render it
+        if not is_of_content(error):
+            raise
+        raise InputError(f"{part.path}: cannot be moved ({reason_of(error)}); export it again") from error
 
 
 def place_model(

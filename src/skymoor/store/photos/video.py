@@ -112,8 +112,9 @@ def _opened(video: Path) -> Iterator[tuple[Any, Any]]:
             yield container, stream
     except (FileNotFoundError, PermissionError) as error:
         raise InputError(f"{video}: cannot be read: {error.strerror}; put it back, or let it be read") from error
-    except av.error.FFmpegError as error:
+    except (av.error.FFmpegError, UnicodeDecodeError) as error:  # the latter of names in the file
+        reason = getattr(error, "strerror", None) or error
         raise InputError(
-            f"{video}: is damaged or not a video that can be read ({error.strerror or error}); remove it, copy it "
-            "again or convert it to MP4"
+            f"{video}: is damaged or not a video that can be read ({reason}); remove it, copy it again "
+            "or convert it to MP4"
         ) from error
