@@ -75,6 +75,18 @@ def test_a_house_in_the_free_space_of_another_model_is_a_contradiction(
     assert share(first, HERE, second, into_the_way()) > 0.6
 
 
+def test_few_points_in_front_of_a_wall_that_both_show_are_no_contradiction(
+    first: list[DepthMap], second: list[DepthMap]
+) -> None:
+    """As those far from the cameras of a small component are, though they are all that the other should see of it."""
+    beside = walk_round(WORLD, 0, count=5)
+    stray, confirmed = into_the_way().apply(shown(second)), shown(first)
+    few = stray[:: len(stray) // 2000]
+    assert conflict(few, beside, HERE, confirmed[:0], first, HERE) > 0.6
+    assert 0 < conflict(few, beside, HERE, confirmed, first, HERE) < 0.2
+    assert conflict(np.repeat(stray, 8, axis=0), beside, HERE, confirmed, first, HERE) > 0.5
+
+
 def test_the_unit_of_a_model_does_not_matter(first: list[DepthMap], second: list[DepthMap]) -> None:
     level_from_enu = Similarity(1 / 1.7, Rotation.from_euler("z", 40, degrees=True).as_matrix(), np.array([3.0, 2, 1]))
     small = [transformed_depth_map(m, level_from_enu) for m in second]

@@ -19,8 +19,8 @@ class JointOptions:
     """When two components contradict each other.
 
     Attributes:
-        max_conflict: largest share of the points of one, of those that the other should see, in its free space.
-        min_shared: points that both should see; with fewer there is no conflict.
+        max_conflict: largest share of the points of both, of those that the other should see, in its free space.
+        min_shared: such points; with fewer there is no conflict.
         tolerance_m, tolerance_ratio: depths that differ by no more than either are the same.
         points: of each component, drawn evenly, that are compared.
     """
@@ -80,9 +80,10 @@ def conflict(
     enu_from_b: Similarity,
     options: JointOptions | None = None,
 ) -> float:
-    """Share of the surface of one component in the observed free space of the other; 0 where they overlap little.
+    """Share of the surfaces that both show, in the observed free space of the other; 0 where they overlap little.
 
-    It is the larger one of both directions.
+    Both directions are counted together: the points of one component that lie far from its cameras, and so metres in
+    front of a wall, may be few and nearly all in free space, while the other confirms hundreds on that wall.
 
     Args:
         points_a, points_b: (n, 3) in each one's level frame.
@@ -96,12 +97,12 @@ def conflict(
         (b_from_a.apply(points_a), maps_b, enu_from_b.scale),
         (b_from_a.inverse().apply(points_b), maps_a, enu_from_a.scale),
     ]
-    shares = [0.0]
-    for points, maps, scale in ways:
-        through, confirmed = _seen_through(points, maps, options.tolerance_m / scale, options.tolerance_ratio)
-        if through + confirmed >= options.min_shared:
-            shares.append(through / (through + confirmed))
-    return max(shares)
+    counts = [
+        _seen_through(points, maps, options.tolerance_m / scale, options.tolerance_ratio)
+        for points, maps, scale in ways
+    ]
+    through, confirmed = np.sum(counts, axis=0)
+    return float(through / (through + confirmed)) if through + confirmed >= options.min_shared else 0.0
 
 
 def _seen_through(points: Array, maps: Sequence[DepthMap], tolerance: float, ratio: float) -> tuple[int, int]:
