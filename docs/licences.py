@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes docs/licences.md: the licence of every package that skymoor or one of its extras installs.
+"""Writes docs/licences.md: the licence of every package of skymoor, of its extras and of the tools of development.
 
     python docs/licences.py
 
@@ -44,7 +44,14 @@ program that contains the extra `models` passes on the whole under its terms. Pa
 libraries with licences of their own, which their wheels list. Weights of learned engines have licences too: `skymoor
 weights list`. `python docs/licences.py` writes this page.
 
-| package | version | licence | from |
+"""
+TOOLS = """
+## Tools of development
+
+`make dev` installs these as well, for tests, checks and this documentation. No installation of users contains them.
+
+"""
+COLUMNS = """| package | version | licence | from |
 |---|---|---|---|
 """
 
@@ -91,9 +98,16 @@ def main() -> None:
     for extra in EXTRAS:
         for name in closure(["skymoor"], frozenset([extra])):
             source.setdefault(name, extra)
+    tools = closure(["skymoor"], frozenset(["dev"])) - set(source)
     source.pop("skymoor")
-    rows = [f"| {name} | {versions.get(name, '')} | {licence(name)} | {source[name]} |" for name in sorted(source)]
-    PAGE.write_text(HEAD + "\n".join(rows) + "\n", encoding="utf-8")
+
+    def table(origins: dict[str, str]) -> str:
+        rows = [
+            f"| {name} | {versions.get(name, '')} | {licence(name)} | {origins[name]} |" for name in sorted(origins)
+        ]
+        return COLUMNS + "\n".join(rows) + "\n"
+
+    PAGE.write_text(HEAD + table(source) + TOOLS + table(dict.fromkeys(tools, "dev")), encoding="utf-8")
 
 
 if __name__ == "__main__":

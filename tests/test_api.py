@@ -118,7 +118,7 @@ def test_wrong_input_is_an_error_of_one_line(tmp_path: Path) -> None:
         skymoor.register(site, out=tmp_path / "out", options={"match.candidates": {1}})
     with pytest.raises(skymoor.InputError, match=r"match\.sed.*match\.search"):
         skymoor.register(site, out=tmp_path / "out", options={"match.sed": 1})
-    with pytest.raises(skymoor.InputError, match="no summary of a finished run"):
+    with pytest.raises(skymoor.InputError, match="is not the folder of a finished run"):
         skymoor.read(tmp_path)
     assert not (tmp_path / "out").exists()
 

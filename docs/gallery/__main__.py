@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from gallery.others import notebook, odm
 from gallery.pages import ask, report, report_phone, report_print
 from gallery.rasters import overlay, overview, residuals, simulated, walls
 from gallery.run import Missing, Source
@@ -31,6 +32,8 @@ PICTURES: dict[str, Picture] = {
     "viewer.jpg": viewer,
     "viewer_measure.jpg": viewer_measure,
     "ask.jpg": ask,
+    "notebook.jpg": notebook,
+    "odm.jpg": odm,
     "terminal.svg": terminal,
 }
 """What is made, by its name in docs/images."""

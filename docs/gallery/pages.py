@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from pathlib import Path
 
 from PIL import Image
@@ -13,8 +15,11 @@ from skymoor.results.ask.question import questions_of
 from skymoor.results.ask.server import AskServer
 from skymoor.results.read import Result
 from skymoor.results.report.page import report_page
+from skymoor.results.report.pdf import print_report
+from skymoor.results.report.write import PAGE
 
-DESK, PHONE, SHEET = (1180, 900), (390, 844), (718, 1015)  # CSS pixels; the last is A4 within its margins
+DESK, PHONE = (1180, 900), (390, 844)  # CSS pixels
+SHEETS = ("-png", "-r", "60", "-f", "1", "-l", "3")
 GAP = 24
 
 
@@ -48,20 +53,19 @@ def report_phone(source: Source, path: Path) -> None:
             page.run(f"document.getElementById('{section}').scrollIntoView({{behavior: 'instant'}})")
             shots.append(page.picture())
     Path(address[len("file://") :]).unlink()
-    saved(_beside(shots), path, 1100)
+    saved(beside(shots), path, 1100)
 
 
 def report_print(source: Source, path: Path) -> None:
-    """The first sheets as the report is printed."""
-    address = _address(source)
-    with tab() as page:
-        page.send("Emulation.setEmulatedMedia", media="print")
-        page.resize(SHEET[0], 3 * SHEET[1])
-        page.open(address)
-        page.run("dispatchEvent(new Event('beforeprint'))")
-        long = page.picture()
-    Path(address[len("file://") :]).unlink()
-    saved(_beside([long.crop((0, k * SHEET[1], SHEET[0], (k + 1) * SHEET[1])) for k in range(3)]), path, 1300)
+    """The first sheets of report.pdf. Raises `Missing` without pdftoppm, which draws them."""
+    program = shutil.which("pdftoppm")
+    if program is None:
+        raise Missing("there is no pdftoppm (Debian: apt-get install poppler-utils)")
+    folder = source.scratch / "print"
+    folder.mkdir(exist_ok=True)
+    (folder / PAGE).write_text(report_page(source.result), encoding="utf-8")
+    subprocess.run([program, *SHEETS, str(print_report(folder)), str(folder / "sheet")], check=True)
+    saved(beside([Image.open(one).convert("RGB") for one in sorted(folder.glob("sheet*.png"))]), path, 1300)
 
 
 def ask(source: Source, path: Path) -> None:
@@ -76,7 +80,8 @@ def ask(source: Source, path: Path) -> None:
         saved(page.picture(), path, 1000)
 
 
-def _beside(pictures: list[Image.Image]) -> Image.Image:
+def beside(pictures: list[Image.Image]) -> Image.Image:
+    """One picture of all, from left to right."""
     width = sum(one.width for one in pictures) + GAP * (len(pictures) - 1)
     canvas = Image.new("RGB", (width, max(one.height for one in pictures)), (200, 200, 200))
     left = 0

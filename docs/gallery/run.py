@@ -80,7 +80,8 @@ def on_terminal(command: list[str], stop_s: float) -> str:
     environment = os.environ | {"COLUMNS": "100", "LINES": "30", "TERM": "xterm-256color"}
     process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=environment)
     os.close(theirs)
-    Timer(stop_s, process.send_signal, [signal.SIGINT]).start()
+    # Not SIGINT, which a job in the background of a script, and all it starts, is deaf to.
+    Timer(stop_s, process.send_signal, [signal.SIGTERM]).start()
     shown = bytearray()
     try:
         while part := os.read(ours, 4096):

@@ -24,7 +24,7 @@ PATIENCE_S = 8.0  # skymoor answers within five
 POLL_S = 0.2
 # Of QGIS' own Python and libraries, which another Python must not load.
 NOT_PASSED_ON = ("PYTHONHOME", "PYTHONPATH", "GDAL_DATA", "PROJ_LIB", "PROJ_DATA", "GDAL_DRIVER_PATH")
-_ENDED = re.compile(r"^(?P<stage>[^:]+): \d+ done in ")
+_ENDED = re.compile(r"^(?P<stage>.+): (?:(?:\d+ )?done in |from the cache$)")
 
 
 class CommandError(Exception):

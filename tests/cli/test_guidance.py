@@ -88,7 +88,20 @@ def test_the_doctor_sees_what_is_there_and_what_is_not(
     monkeypatch.setattr(doctor, "LEAST_FREE_GB", 1e9)
     assert main(["doctor", "--out", str(tmp_path)]) == 1
     shown = " ".join(capsys.readouterr().out.split())
-    assert "no-such-library" in shown and "make room" in shown
+    assert "no-such-library" in shown and "make room" in shown and "missing: no-such-library" in shown
+
+
+def test_the_doctor_knows_whether_the_report_can_be_printed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("CHROMIUM", "/opt/browser")
+    assert main(["doctor"]) == 0
+    shown = capsys.readouterr().out
+    assert "/opt/browser" in shown and "all that runs need is here" in shown
+    monkeypatch.delenv("CHROMIUM")
+    monkeypatch.setenv("PATH", "")
+    assert main(["doctor"]) == 0
+    assert "environment variable CHROMIUM" in " ".join(capsys.readouterr().out.replace("│", "").split())
 
 
 def test_a_run_keeps_a_log(tmp_path: Path) -> None:

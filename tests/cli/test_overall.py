@@ -45,6 +45,18 @@ def test_what_comes_from_the_cache_is_done_at_once_and_tells_nothing_of_the_time
     assert run.bar.left_s() == pytest.approx(40.0)  # as planned: nothing was measured yet
 
 
+def test_a_run_that_comes_from_the_cache_goes_on_to_its_end() -> None:
+    run, shown = Run(), []
+    for name in ("photos", "airborne: reconstruction", "airborne-0: dense depth", "search"):
+        run.bar.report(name, 1, 1, cached=True)
+        shown.append(run.bar.share())
+        run.now += 0.1
+    assert shown == pytest.approx([0.10, 0.60, 0.80, 0.90])
+    assert run.bar.left_s() == pytest.approx(10.0, rel=0.02)  # as planned: what was not computed was not measured
+    run.works("products", 0.0)
+    assert run.bar.share() <= 0.99
+
+
 @pytest.mark.parametrize("pace", [0.5, 3.0])
 def test_the_time_left_follows_what_was_measured(pace: float) -> None:
     run = Run()

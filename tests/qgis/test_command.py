@@ -58,6 +58,9 @@ def test_the_python_of_qgis_is_not_passed_on() -> None:
     [
         ("airborne-0.search: 12 done in 1 min", "airborne-0.search"),
         ("nadir view: 1 done in 0.2 s", "nadir view"),
+        ("reference: done in 1 s", "reference"),
+        ("airborne: reconstruction: 104 done in 2 min", "airborne: reconstruction"),
+        ("airborne: reconstruction: from the cache", "airborne: reconstruction"),
         ("search: scale 3 of 9", None),
         ("skymoor: dsm.tif: there is no such file", None),
     ],

@@ -27,6 +27,11 @@ from skymoor.types import Registration
 FOUND = Registration(registered=True, reason="", enu_from_level=None, diagnostics={"second_score": 80.0})
 
 
+def test_numbers_are_written_as_people_write_them() -> None:
+    assert all("e+" not in kind.written(123456.7) for kind in KINDS.values())
+    assert any(kind.written(1234.5) == "1200" for kind in KINDS.values())
+
+
 def kinds_in_the_code() -> set[str]:
     """First argument of every call of `criterion`."""
     found = set()

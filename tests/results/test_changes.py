@@ -8,7 +8,8 @@ import pytest
 from rasterio.transform import Affine
 from scipy.ndimage import gaussian_filter, shift
 
-from skymoor.results.changes import HeightChanges, _geojson, height_changes
+from skymoor.results.changes import HeightChanges, _figure, _geojson, height_changes
+from skymoor.results.report.renderings import difference_figure
 from skymoor.types import Array32
 
 PIXEL_M = 0.25
@@ -120,3 +121,11 @@ def test_an_area_is_written_once_with_what_changed_in_it() -> None:
     }
     lon, lat = feature["geometry"]["coordinates"][0][0]
     assert 8.9 < lon < 9.1 and 47.8 < lat < 47.9
+
+
+def test_the_picture_has_a_scale_and_north() -> None:
+    found = HeightChanges(np.zeros((400, 400), np.float32), np.zeros((400, 400), np.int32), 0.3, 0.5)
+    without, narrow, wide = difference_figure(found.difference), _figure(found, 0.25), _figure(found, 0.5)
+    assert (narrow[300:, :200] != without[300:, :200]).any()  # the bar, whose words follow the size of a pixel
+    assert (narrow[:100, 300:] != without[:100, 300:]).any()  # the arrow
+    assert (narrow != wide).any()

@@ -102,6 +102,13 @@ def test_a_damaged_summary_is_told(run: Path, content: str) -> None:
         Result.read(run)
 
 
+def test_a_folder_that_is_none_of_a_run_is_told_in_words(run: Path) -> None:
+    with pytest.raises(InputError, match=r"nowhere: there is no such folder; name the one that skymoor run wrote"):
+        Result.read(run / "nowhere")
+    with pytest.raises(InputError, match=r"air: is not the folder of a finished run, it has no summary\.json"):
+        Result.read(run / "air")
+
+
 def test_columns_that_a_former_version_did_not_write_are_none(run: Path) -> None:
     lines = (run / "cameras.csv").read_text(encoding="utf-8").splitlines()
     former = [",".join(line.split(",")[:-3]) for line in lines]

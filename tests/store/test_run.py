@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from skymoor.errors import InputError
-from skymoor.store import Store
+from skymoor.store import FROM_CACHE, Store
 
 VALUE = np.arange(1000)
 
@@ -84,6 +84,18 @@ def test_second_run_computes_nothing(out: Path) -> None:
     assert run(out, Step(), Step()) == [False, False, False]
     assert run(out, Step(), Step()) == [True, True, True]
     assert Stage.ran == ["second", "alone"]
+
+
+def test_what_comes_from_the_cache_says_so(out: Path) -> None:
+    told: list[tuple[int, int, str]] = []
+
+    def progress(done: int, total: int, note: str = "", /) -> None:
+        told.append((done, total, note))
+
+    for _ in range(2):
+        with Store.open(out) as store:
+            store.stage("heavy", Stage("heavy", 1), progress=progress)
+    assert told == [(0, 1, ""), (1, 1, FROM_CACHE)]
 
 
 def test_changed_option_recomputes_only_downstream(out: Path) -> None:

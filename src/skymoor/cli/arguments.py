@@ -258,7 +258,7 @@ class View:
     port: int = 8080
     """Port of the viewer on this machine; if it is taken, the next free one."""
     open: bool = True
-    """Open the browser; --no-open only prints the address."""
+    """Do not open the browser, only print the address."""
 
 
 @dataclass(frozen=True)

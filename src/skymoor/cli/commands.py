@@ -165,7 +165,7 @@ def batch(command: Batch) -> int:
 
 def evaluate(command: Evaluate) -> None:
     """`skymoor evaluate`."""
-    from skymoor.cli.tables import accuracy_table, evaluation_table
+    from skymoor.cli.tables import evaluation_table
     from skymoor.results.read import Result
     from skymoor.results.report.write import rewrite_report
     from skymoor.store import Store
@@ -177,7 +177,6 @@ def evaluate(command: Evaluate) -> None:
         store.write_json("evaluation.json", {"truth": command.truth, "rows": [asdict(row) for row in rows]})
         rewrite_report(result, store)
         screen.show(evaluation_table(rows))
-        screen.show(accuracy_table(rows))
         for row in rows:
             if row.n_without_truth:
                 missing = f"{row.n_without_truth} of {row.n_cameras} registered cameras have no line in {command.truth}"
@@ -197,14 +196,15 @@ def report(command: Report) -> None:
     """`skymoor report`."""
     from skymoor.results.read import Result
     from skymoor.results.report.pdf import print_report
-    from skymoor.results.report.write import rewrite_report
+    from skymoor.results.report.write import PAGE, rewrite_report
     from skymoor.store import Store
 
     result = Result.read(command.run)  # first, or the folder would be made into that of a run
     with Screen(plain=True) as screen, Store.open(command.run) as store:
-        screen.note(str(rewrite_report(result, store)))
+        rewrite_report(result, store)
+        screen.note(f"{command.run / PAGE}: written; it needs no network")
         if command.pdf:
-            screen.note(str(print_report(command.run)))
+            screen.note(f"{print_report(command.run)}: printed")
 
 
 def view(command: View) -> None:
@@ -247,8 +247,8 @@ def demo(command: Demo) -> bool:
     evaluate(Evaluate(run=result, truth=site / "truth.csv"))
     with Screen(plain=True) as screen:
         screen.note(
-            f"read {result / 'report.html'} in a browser; figures are in {result / 'renders'} and "
-            f"{result / 'matches'}, all figures in {result / 'summary.json'}"
+            f"read {result / 'report.html'} in a browser (skymoor report {result} --pdf prints it); pictures are in "
+            f"{result / 'renders'} and {result / 'matches'}, all numbers in {result / 'summary.json'}"
         )
     return registered
 

@@ -14,6 +14,8 @@ from pathlib import Path
 from skymoor import __version__
 from skymoor.engines.libraries import version_of
 from skymoor.engines.weights import KNOWN, weights_folder
+from skymoor.errors import BackendUnavailable
+from skymoor.results.report.pdf import browser
 
 LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "pycolmap", "rasterio", "pyproj", "laspy", "rich")
 OPTIONAL = {
@@ -24,6 +26,12 @@ OPTIONAL = {
     "diffusers": "depth",
     "huggingface-hub": "hub",
     "viser": "view",
+    "plotly": "plot",
+    "pandas": "table",
+    "trimesh": "models",
+    "pyarrow": "export",
+    "av": "video",
+    "distributed": "dask",
 }
 LEAST_FREE_GB, LEAST_MEMORY_GB = 5.0, 4.0
 
@@ -54,6 +62,7 @@ def examine(folder: Path) -> list[Check]:
         *_memory(),
         *_disks(folder),
         *_weights(),
+        _browser(),
     ]
 
 
@@ -107,6 +116,13 @@ def _disks(folder: Path) -> Iterator[Check]:
         yield Check(name, f"{free:.1f} GB free in {path}", remedy)
         if not os.access(path, os.W_OK):
             yield Check(name, f"{path} cannot be written", f"give {where}")
+
+
+def _browser() -> Check:
+    try:
+        return Check("browser for report.pdf", browser())
+    except BackendUnavailable as error:
+        return Check("browser for report.pdf", "-", str(error).partition("none is here: ")[2], needed=False)
 
 
 def _weights() -> Iterator[Check]:

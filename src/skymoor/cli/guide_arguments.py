@@ -82,7 +82,7 @@ class Ask:
     port: int = 0
     """Port of the page on this machine; any free one by default."""
     open: bool = True
-    """Open the browser; --no-open only prints the address."""
+    """Do not open the browser, only print the address."""
     quiet: Quiet = False
     """Plain lines in place of progress bars."""
     verbose: Verbose = False

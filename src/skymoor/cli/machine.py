@@ -56,6 +56,8 @@ def doctor(command: Doctor) -> bool:
     checks = examine(command.out)
     with Screen(plain=True, for_scripts=command.json) as screen:
         screen.show(checks_table(checks))
+        missing = [check.name for check in checks if check.status == "missing"]
+        screen.note(f"missing: {', '.join(missing)}" if missing else "all that runs need is here")
         screen.answer({"checks": [{**asdict(check), "status": check.status} for check in checks]})
     return all(check.status != "missing" for check in checks)
 

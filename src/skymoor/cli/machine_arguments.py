@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from skymoor.cli.short import Out, Quiet, Verbose
+from skymoor.cli.short import Out, Quiet, Verbose, helpful
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,7 @@ class Completion:
     shell: Annotated[Literal["bash", "zsh", "tcsh"], tyro.conf.Positional]
 
 
+@helpful
 @dataclass(frozen=True)
 class GridsList:
     """List the grids of common datums, and which are installed; downloads nothing."""
@@ -48,6 +49,7 @@ class GridsList:
     """For scripts: as JSON on stdout."""
 
 
+@helpful
 @dataclass(frozen=True)
 class GridsFetch:
     """Download a grid from PROJ's server and check it.
@@ -55,7 +57,7 @@ class GridsFetch:
     For example: skymoor grids fetch us_nga_egm08_25.tif, or skymoor grids fetch EPSG:3855
     """
 
-    name: Annotated[str, tyro.conf.Positional]
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """File of the grid, or EPSG code of a datum that has one grid."""
     quiet: Quiet = False
     """Plain lines in place of progress bars."""
@@ -73,6 +75,7 @@ class Grids:
     )
 
 
+@helpful
 @dataclass(frozen=True)
 class WeightsList:
     """List pretrained weights, their licences, and which are installed."""
@@ -81,6 +84,7 @@ class WeightsList:
     """For scripts: as JSON on stdout."""
 
 
+@helpful
 @dataclass(frozen=True)
 class WeightsFetch:
     """Download pretrained weights and check them.
@@ -88,7 +92,7 @@ class WeightsFetch:
     For example: skymoor weights fetch aliked
     """
 
-    name: Annotated[str, tyro.conf.Positional]
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """As in the list."""
     to: Path | None = None
     """Folder of all weights; $SKYMOOR_WEIGHTS or the user's data folder by default."""
@@ -115,7 +119,7 @@ class Help:
     For example: skymoor help run
     """
 
-    command: Annotated[str | None, tyro.conf.Positional] = None
+    command: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="COMMAND")] = None
     """One of the commands; all without it."""
 
 

@@ -33,11 +33,13 @@ from skymoor.cli.guide_arguments import Ask, Init
 from skymoor.cli.interrupt import GRACE_S, STOPPED, STOPPING, Stopped, cpu_limit_told, interruptible
 from skymoor.cli.limits import no_memory, require_address_space
 from skymoor.cli.machine_arguments import Completion, Doctor, Grids, Help, Schema, Version, Weights
+from skymoor.cli.overview import overview
 from skymoor.cli.register_arguments import Register
+from skymoor.cli.short import helpful
 from skymoor.cli.usage import parsed
 from skymoor.errors import BackendUnavailable, InputError, SkymoorError
 from skymoor.pipeline.log import quiet_libraries
-from skymoor.pipeline.option_parser import nearest
+from skymoor.pipeline.option_parser import close_to
 
 # Errors of disks and paths, which the user can fix; all others are errors of this program.
 OF_THE_DISK = (
@@ -68,14 +70,12 @@ COMMANDS = {
     "help": Help,
     "version": Version,
 }
-_Command: Any = tyro.conf.OmitArgPrefixes[  # type: ignore[misc]
-    reduce(or_, (Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items()))
+_Command: Any = Annotated[
+    reduce(or_, (Annotated[helpful(kind), tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())),
+    tyro.conf.OmitArgPrefixes,
+    tyro.conf.DisallowNone,  # or it would be offered as a value
+    tyro.conf.FlagCreatePairsOff,  # --quiet needs no --no-quiet
 ]
-DESCRIPTION = """skymoor georegisters 3D models: photos without metadata, an orthophoto and its DSM go
-in, and every camera and model gets a position on Earth with its accuracy, or the reason why it has none.
-
-Begin with: skymoor demo; then, with your own photos, skymoor init PHOTOS --ortho F.tif --dsm F.tif, which writes a
-site.toml, and skymoor run site.toml --out result. Each command explains itself: skymoor help run."""
 EXIT_REGISTERED, EXIT_ERROR, EXIT_USAGE, EXIT_NOT_REGISTERED = 0, 1, 2, 3
 EXIT_BROKEN_PIPE, EXIT_INTERRUPTED = 141, 130  # as a shell reports the signals
 TOLD = {View: "", Ask: ""}  # those who wait for a person just end
@@ -90,14 +90,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(__version__)
         return 0
     try:
+        if arguments in ([], ["--help"], ["-h"], ["help"]):
+            print(overview(COMMANDS), flush=True)
+            return 0
         if arguments and not arguments[0].startswith("-"):
             _require_command(arguments[0])
         with cpu_limit_told():
-            status = _done(parsed(_parse, arguments or ["--help"]))
+            status = _done(parsed(_parse, arguments))
         sys.stdout.flush()
         return status
     except (InputError, BackendUnavailable) as error:  # such as a chosen engine that is not installed
-        _tell(error)
+        _tell((isinstance(error, BackendUnavailable) and no_memory(error)) or error)
         for line in getattr(error, "details", ()):
             print(line, file=sys.stderr)
         return EXIT_USAGE
@@ -127,12 +130,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parse(arguments: list[str]) -> Any:
-    return tyro.cli(_Command, args=arguments, prog="skymoor", description=DESCRIPTION)
+    return tyro.cli(_Command, args=arguments, prog="skymoor")
 
 
 def _require_command(name: str) -> None:
     if name not in COMMANDS:
-        raise InputError(f"there is no command {name}; {nearest(name, list(COMMANDS))}")
+        close = close_to(name, list(COMMANDS))
+        remedy = f"did you mean {' or '.join(close)}?" if close else "skymoor help lists all"
+        raise InputError(f"there is no command {name}; {remedy}")
 
 
 def _done(chosen: Any) -> int:
@@ -142,9 +147,8 @@ def _done(chosen: Any) -> int:
     if isinstance(chosen, Version):
         return main(["--version"])
     if isinstance(chosen, Help):
-        if chosen.command is not None:
-            _require_command(chosen.command)
-        return main([*filter(None, [chosen.command]), "--help"])
+        _require_command(chosen.command or "help")  # without one, main has answered
+        return main([chosen.command or "help", "--help"])
     from skymoor.cli import commands, guide, machine
 
     actions: dict[type, Callable[[Any], bool | int | None]] = {

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from skymoor.cli.progress import Screen
-from skymoor.cli.tables import control_lines, control_tables, remedies, summary_table
+from skymoor.cli.tables import control_lines, control_tables, remarks, summary_table
 from skymoor.results.changes import changes_words
 from skymoor.results.read import Result
 from skymoor.results.report.page import has_question
@@ -13,11 +13,11 @@ from skymoor.results.report.write import PAGE
 
 
 def show_result(screen: Screen, result: Result) -> None:
-    """The table, remedies, who helped, and where everything is."""
+    """The table, what is to be known of each component, who helped, and where everything is."""
     summary, out = result.summary, result.folder
     for table in (summary_table(summary), *control_tables(summary)):
         screen.show(table)
-    for line in filter(None, [person_words(summary), *remedies(summary), *control_lines(summary), changes_words(out)]):
+    for line in filter(None, [person_words(summary), *remarks(summary), *control_lines(summary), changes_words(out)]):
         screen.note(line)
     if has_question(result):
         screen.note(f"if you know where the site lies: skymoor ask {out}")

@@ -9,6 +9,8 @@ from skymoor.pipeline.estimate import TIMED, Step, step_of
 
 MOST = 0.95
 """Of a step that is judged by its time, as long as it is not over."""
+UNFINISHED = 0.99
+"""The report is written after the last step that reports progress."""
 SILENT = "register"
 """The step that begins when the one before has ended, since it says nothing at its beginning."""
 TRUST = 0.1
@@ -23,28 +25,32 @@ class Overall:
         self._steps, self._clock = list(steps), clock
         self._places = {step.name: place for place, step in enumerate(self._steps)}
         self._planned_s = sum(step.seconds for step in self._steps) or 1.0
-        self._current, self._part, self._shown = 0, 0.0, 0.0
+        self._current, self._part, self._shown, self._cached = 0, 0.0, 0.0, False
         self._begun = self.start = clock()
         self._measured_s = self._of_these_s = 0.0  # what computed steps took, and what was planned for them
 
-    def report(self, name: str, done: int, total: int) -> None:
-        """Progress of some work; names that are no part of the plan, and steps that are over, change nothing."""
+    def report(self, name: str, done: int, total: int, *, cached: bool = False) -> None:
+        """Progress of some work; names that are no part of the plan, and steps that are over, change nothing.
+
+        What is `cached` counts as done, and tells nothing of how fast this machine is.
+        """
         known = step_of(name)
         if known is None or self._places.get(known[0], -1) < self._current or total <= 0:
             return
         step, begin, end = known
         if self._places[step] > self._current:
             self._enter(self._places[step])
+        self._cached = cached
         self._part = max(self._part, begin + (end - begin) * min(1.0, done / total))
         following = self._current + 1
         if self._part >= 1.0 and following < len(self._steps) and self._steps[following].name == SILENT:
             self._enter(following)
 
     def share(self) -> float:
-        """Of all work, from 0 to 1; it never falls."""
+        """Of all work, from 0 to 0.99; it never falls."""
         before = sum(step.seconds for step in self._steps[: self._current])
         now = before + self._done_of_current() * self._steps[self._current].seconds
-        self._shown = max(self._shown, min(1.0, now / self._planned_s))
+        self._shown = max(self._shown, min(UNFINISHED, now / self._planned_s))
         return self._shown
 
     def left_s(self) -> float:
@@ -54,7 +60,7 @@ class Overall:
         return (after + current) * self._pace()
 
     def _enter(self, place: int) -> None:
-        if self._part > 0.0 or self._steps[self._current].name == SILENT:
+        if not self._cached and (self._part > 0.0 or self._steps[self._current].name == SILENT):
             self._measured_s += self._clock() - self._begun
             self._of_these_s += self._steps[self._current].seconds
         self._current, self._part, self._begun = place, 0.0, self._clock()
@@ -69,7 +75,7 @@ class Overall:
     def _pace(self, *, whole: bool = False) -> float:
         """Seconds that a planned second takes; `whole` is by finished steps alone."""
         measured, planned = self._measured_s, self._of_these_s
-        if not whole and self._part > 0.0 and not self._steps[self._current].name.endswith(TIMED):
+        if not whole and not self._cached and self._part > 0.0 and not self._steps[self._current].name.endswith(TIMED):
             measured += self._clock() - self._begun
             planned += self._part * self._steps[self._current].seconds
         known = TRUST * self._planned_s

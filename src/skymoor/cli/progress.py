@@ -21,7 +21,7 @@ from rich.table import Table
 from skymoor.cli.interrupt import AT_END
 from skymoor.pipeline.log import LOG, heard
 from skymoor.pipeline.words import time_in_words
-from skymoor.store._plain import plain
+from skymoor.store import FROM_CACHE, plain
 from skymoor.types import Progress
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ class _Lines:
         now = time.monotonic()
         self.start = self.start or now
         if done >= total:
-            self.console.print(_ended(self.name, total, now - self.start), markup=False)
+            self.console.print(_ended(self.name, total, now - self.start, note), markup=False)
         elif note and now - (self.noted or self.start) > NOTE_S:
             self.noted = now
             self.console.print(f"{self.name}: {note}", markup=False)
@@ -131,22 +131,26 @@ class _Current:
     done: int = 0
     total: int = 0
     note: str = ""
+    reported: float = 0.0
 
     def __call__(self, done: int, total: int, note: str = "", /) -> None:
         now = time.monotonic()
         self.start = now if self.start is None else self.start
-        self.done, self.total, self.note = done, total, note or self.note
+        self.done, self.total, self.note, self.reported = done, total, note or self.note, now
         if done >= total:
             self.bars.hide(self)
-            self.bars.console.print(_ended(self.name, total, now - self.start), markup=False)
+            self.bars.console.print(_ended(self.name, total, now - self.start, note), markup=False)
         else:
             self.bars.show(self)
 
     def words(self, *, alone: bool) -> str:
         """How far it is; `alone`, where no bar of the run says it, also how long the rest takes."""
-        elapsed = time.monotonic() - (self.start or 0.0)
-        counted = f"{self.done} of {self.total}" if self.done > 0 else ""
-        left = elapsed * (self.total - self.done) / self.done if alone and self.done > 0 else None
+        now, start = time.monotonic(), self.start or 0.0
+        elapsed, counted, left = now - start, "", None
+        if self.done > 0:
+            counted = f"{self.done} of {self.total}"
+            rest = (self.reported - start) * (self.total - self.done) / self.done
+            left = max(0.0, rest - (now - self.reported)) if alone else None  # it falls until the next report
         words = (counted, _timed(elapsed, left), self.note)
         return "  ".join(word for word in words if word)
 
@@ -194,7 +198,7 @@ class _Bars(Bars):
 
     def _report(self, step: _Current) -> None:
         if self._run is not None:
-            self._run[1].report(step.name, step.done, step.total)
+            self._run[1].report(step.name, step.done, step.total, cached=step.note == FROM_CACHE)
 
     def _remove(self) -> None:
         if self._step is not None:
@@ -218,9 +222,13 @@ class _OnScreen(logging.Handler):
 def _timed(elapsed_s: float, left_s: float | None) -> str:
     """Such as "elapsed 1:05, left 4 min"."""
     minutes, seconds = divmod(int(elapsed_s), 60)
-    left = "" if left_s is None else f", left {time_in_words(left_s)}"
+    left = "" if left_s is None or left_s < 1 else f", left {time_in_words(left_s)}"
     return f"elapsed {minutes}:{seconds:02}{left}"
 
 
-def _ended(name: str, total: int, seconds: float) -> str:
+def _ended(name: str, total: int, seconds: float, note: str) -> str:
+    if note == FROM_CACHE:
+        return f"{name}: {note}"
+    if total == 1:  # counts nothing
+        return f"{name}: done in {time_in_words(seconds)}"
     return f"{name}: {total} done in {time_in_words(seconds)}"

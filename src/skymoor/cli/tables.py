@@ -29,7 +29,7 @@ def summary_table(summary: dict[str, Any]) -> Table:
     table = Table(title=Text(summary["site"]))  # Text, because square brackets in a name are no markup
     for heading in (
         "set",
-        "component",
+        "no",
         "status",
         "cameras",
         "matches",
@@ -37,13 +37,10 @@ def summary_table(summary: dict[str, Any]) -> Table:
         "CE90 m",
         "LE90 m",
         "heights",
-        "remark",
     ):
-        table.add_column(heading)
-    person = summary.get("person") or {}
+        table.add_column(heading, no_wrap=heading == "status", overflow="fold")
     for item in summary["sets"]:
         for component in item["components"]:
-            helped = "a person helped" if person.get("component") == f"{item['set']}_{component['component']}" else ""
             table.add_row(
                 item["set"],
                 str(component["component"]),
@@ -54,10 +51,9 @@ def summary_table(summary: dict[str, Any]) -> Table:
                 _number(component.get("predicted_ce90_m")),
                 _number(component.get("predicted_le90_m")),
                 component.get("heights") or "-",
-                Text("; ".join(filter(None, [component["reason"] or _remark(component), helped]))),
             )
         if not item["components"]:
-            table.add_row(item["set"], "-", item["status"], "0", "-", "-", "-", "-", "-", item["reason"])
+            table.add_row(item["set"], "-", item["status"], "0", "-", "-", "-", "-", "-")
     return table
 
 
@@ -124,69 +120,72 @@ def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def remedies(summary: dict[str, Any]) -> list[str]:
-    """One line for each refused component for which a remedy is known."""
-    components = [(item["set"], part) for item in summary["sets"] for part in item["components"]]
-    return [f"{name} {part['component']}: {remedy}" for name, part in components if (remedy := remedy_of(part))]
+def remarks(summary: dict[str, Any]) -> list[str]:
+    """Why each component was refused with its remedy, and what else is to be known of it; a line for each.
+
+    Below the table: in a column of it, sentences would take the room of the figures.
+    """
+    lines, person = [], (summary.get("person") or {}).get("component")
+    for item in summary["sets"]:
+        for part in item["components"]:
+            told = [part["reason"] or _remark(part), remedy_of(part)]
+            told += ["a person helped"] if person == f"{item['set']}_{part['component']}" else []
+            text = ". ".join(one.rstrip(".") for one in told if one)
+            lines += [f"{item['set']} {part['component']}: {text}"] if text else []
+        if not item["components"] and item["reason"]:
+            lines.append(f"{item['set']}: {item['reason']}")
+    return lines
+
+
+EVALUATED = (
+    ("cameras with a known position", "n_truth", ""),
+    ("mean distance (abs)", "mean_absolute_m", "m"),
+    ("median distance", "median_absolute_m", "m"),
+    ("mean horizontal error", "mean_horizontal_m", "m"),
+    ("mean vertical error", "mean_vertical_m", "m"),
+    ("mean error (bias): east", "bias_east_m", "m"),
+    ("  north", "bias_north_m", "m"),
+    ("  up", "bias_up_m", "m"),
+    ("mean distance without the bias (rel)", "mean_relative_m", "m"),
+    ("median distance without the bias", "median_relative_m", "m"),
+    ("RMSE after the best similarity (fit)", "rmse_procrustes_m", "m"),
+    ("bias over the reference's sigma (M-dist)", "mahalanobis_of_mean", ""),
+    ("mean over the cameras (mean M-dist)", "mean_mahalanobis", ""),
+    ("predicted CE90", "predicted_ce90_m", "m"),
+    ("  cameras within", "share_within_ce90", "%"),
+    ("predicted LE90", "predicted_le90_m", "m"),
+    ("  cameras within", "share_within_le90", "%"),
+    ("predicted CE90 without the reference's error", "predicted_relative_ce90_m", "m"),
+    ("predicted LE90 without the reference's error", "predicted_relative_le90_m", "m"),
+    ("distance to the scene (standoff)", "standoff_m", "m"),
+)
+"""What is compared with the truth, with the paper's short names: words, measure and unit."""
 
 
 def evaluation_table(rows: Sequence[EvaluationRow]) -> Table:
-    """The paper's two tables in one: errors in metres of every component.
+    """The paper's two tables in one, and whether what was predicted holds: a column for each component.
 
-    abs and its median, horizontal and vertical mean; M-dist of the mean error and the mean per camera; rel (without
-    the mean error) and its median; fit: after the best similarity; the standoff; and what was predicted.
+    A line for each measure has room for its words on every terminal; a line for each component has not.
     """
     table = Table(title="errors against the truth")
-    columns = [
-        ("abs", "mean_absolute_m"),
-        ("median", "median_absolute_m"),
-        ("horiz", "mean_horizontal_m"),
-        ("vert", "mean_vertical_m"),
-        ("M-dist", "mahalanobis_of_mean"),
-        ("mean M", "mean_mahalanobis"),
-        ("rel", "mean_relative_m"),
-        ("median", "median_relative_m"),
-        ("fit", "rmse_procrustes_m"),
-        ("standoff", "standoff_m"),
-        ("CE90", "predicted_ce90_m"),
-        ("LE90", "predicted_le90_m"),
-    ]
-    for heading in ("set", "no", "status", "cameras", *(heading for heading, _ in columns)):
-        table.add_column(heading)
+    table.add_column("")
     for row in rows:
-        numbers = [_number(getattr(row, name)) for _, name in columns]
-        table.add_row(row.set, str(row.component), row.status, str(row.n_cameras), *numbers)
+        table.add_column(Text(f"{row.set} {row.component}"), justify="right")
+    if any(row.status != "REGISTERED" for row in rows):
+        table.add_row("status", *(row.status for row in rows))
+    for words, name, unit in EVALUATED:
+        values = [getattr(row, name) for row in rows]
+        if any(value is not None for value in values):
+            table.add_row(words, *(_with_unit(value, unit) for value in values))
     return table
 
 
-def accuracy_table(rows: Sequence[EvaluationRow]) -> Table:
-    """The error split, and whether what was predicted holds: metres, and shares of cameras.
-
-    The bias is the mean error, which holds the reference's own; CE90 and LE90 as predicted and the share of cameras
-    within; and the predicted accuracy without the reference's error, beside what was found without the bias.
-    """
-    table = Table(title="what was predicted, and what holds")
-    columns = [
-        ("bias E", "bias_east_m"),
-        ("N", "bias_north_m"),
-        ("up", "bias_up_m"),
-        ("CE90", "predicted_ce90_m"),
-        ("within", "share_within_ce90"),
-        ("LE90", "predicted_le90_m"),
-        ("within", "share_within_le90"),
-        ("relative CE90", "predicted_relative_ce90_m"),
-        ("LE90", "predicted_relative_le90_m"),
-        ("rel", "mean_relative_m"),
-    ]
-    for heading in ("set", "no", *(heading for heading, _ in columns)):
-        table.add_column(heading)
-    for row in rows:
-        numbers = []
-        for _, name in columns:
-            value = getattr(row, name)
-            numbers.append(f"{value:.0%}" if name.startswith("share") and value is not None else _number(value))
-        table.add_row(row.set, str(row.component), *numbers)
-    return table
+def _with_unit(value: float | None, unit: str) -> str:
+    if value is None:
+        return "-"
+    if unit == "%":
+        return f"{value:.0%}"
+    return str(value) if isinstance(value, int) else f"{_number(value)} {unit}".rstrip()
 
 
 def bench_table(rows: Sequence[KindRow]) -> Table:

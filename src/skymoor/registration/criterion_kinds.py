@@ -47,6 +47,7 @@ class Kind:
         if number is None or not isfinite(number):
             return "unknown"
         text = format(100 * number if self.unit == "%" else number, self.spec)
+        text = f"{float(text):.0f}" if "e+" in text else text  # 1200, not 1.2e+03
         text = text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
         return f"{text}{self.unit}" if self.unit == "°" else f"{text} {self.unit}".rstrip()
 

@@ -23,6 +23,7 @@ from skymoor.geo.accuracy import CE90_PER_SIGMA, LE90_PER_SIGMA
 from skymoor.pipeline.options import MatchOptions
 from skymoor.results.read import Result
 from skymoor.results.report.renderings import difference_figure
+from skymoor.results.report.scale import with_scale
 from skymoor.store import Store
 from skymoor.types import Array32, Image, Mask
 
@@ -132,7 +133,7 @@ def write_changes(result: Result, earlier: Path | None, store: Store) -> None:
         return
     store.write_bytes("change.tif", _geotiff(found.difference, grid["transform"], crs))
     store.write_json(CHANGES, _geojson(found, grid["transform"], crs))
-    store.write_png("matches/change.png", _figure(found))
+    store.write_png("matches/change.png", _figure(found, grid["transform"].a))
 
 
 def _confident_heights(folder: Path, least: float, grid: dict[str, Any]) -> Array32:
@@ -206,11 +207,11 @@ def _geojson(found: HeightChanges, transform: Affine, crs: str) -> dict[str, Any
     return {"type": "FeatureCollection", "features": features, "limit_m": found.limit_m, "plan_m": found.plan_m}
 
 
-def _figure(found: HeightChanges) -> Image:
-    """The differences in height with the changed areas outlined, cut to where any is known."""
+def _figure(found: HeightChanges, pixel_m: float) -> Image:
+    """The differences in height with the changed areas outlined, cut to where any is known, with scale and north."""
     rows, columns = np.nonzero(np.isfinite(found.difference))
     part = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     picture = np.ascontiguousarray(difference_figure(found.difference[part]))
     edges: Mask = found.areas[part] > 0
     outlines, _ = cv2.findContours(edges.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return np.asarray(cv2.drawContours(picture, outlines, -1, OUTLINE, 2))
+    return with_scale(np.asarray(cv2.drawContours(picture, outlines, -1, OUTLINE, 2)), pixel_m)

@@ -49,6 +49,7 @@ def export(
     for name in chosen:
         _require_ours(out / name)
     left_out = len(result.cameras) - len(source.rows)
+    cameras = f"{len(source.rows)} cameras" + (f", {left_out} without a position left out" if left_out else "")
     for name in chosen:
         part = replace(source, target=out / name, notes=[], progress=track(name))
         try:
@@ -58,9 +59,7 @@ def export(
                 raise
             note(f"{out / name}: left out: {error}")
             continue
-        note(
-            "; ".join([f"{out / name}: {len(part.rows)} cameras, {left_out} without a position left out", *part.notes])
-        )
+        note("; ".join([f"{out / name}: {cameras}", *part.notes]))
 
 
 def chosen_formats(names: Sequence[str]) -> list[str]:

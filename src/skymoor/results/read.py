@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from skymoor.engines.libraries import require
-from skymoor.engines.regular import arrays_of, regular
+from skymoor.engines.regular import arrays_of, is_there, regular
 from skymoor.errors import InputError
 from skymoor.evaluate import EvaluationRow, evaluate
 from skymoor.geo import UNKNOWN_ACCURACY, EnuFrame, checked_covariance
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 RUN_FIRST = "run skymoor run first"
-STATISTICS = "statistics.json"
+STATISTICS, HEIGHT_DIFFERENCE = "statistics.json", "height_difference"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,6 +97,10 @@ class Result:
     def read(cls, folder: Path | str) -> Result:
         """Read the folder of a finished run. Raises `InputError` when there is none, or it is damaged."""
         path = Path(folder) / "summary.json"
+        if not is_there(Path(folder), folder=True):
+            raise InputError(f"{folder}: there is no such folder; name the one that skymoor run wrote with --out")
+        if not is_there(path):
+            raise InputError(f"{folder}: is not the folder of a finished run, it has no summary.json; {RUN_FIRST}")
         try:
             summary = json.loads(regular(path).read_text(encoding="utf-8"))
             origin = summary["enu_origin"]
@@ -137,7 +141,9 @@ class Result:
             found = json.loads(regular(self.folder / STATISTICS).read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError):
             return {}
-        return found if isinstance(found, dict) else {}
+        if not isinstance(found, dict):
+            return {}
+        return {name: one for name, one in found.items() if name != HEIGHT_DIFFERENCE}  # which is of all together
 
     def scene_centres(self) -> dict[tuple[str, int], Array]:
         """Where each registered component's scene is, (3,) ENU metres, by set and number."""

@@ -225,10 +225,10 @@ def calibration_note(item: ComponentResult) -> str:
     half = 100 * LE90_PER_SIGMA * calibration.focal_sigma
     note = "Focal length and flying height are not separable in these photos"
     if calibration.relief_ratio is None:
-        return f"{note}: camera heights are uncertain by +-{half:.0f} % (90 %)."
+        return f"{note}: camera heights are uncertain by ±{half:.0f} % (90 %)."
     change = 100 * (calibration.relief_ratio - 1)
     changed = f"the relief of the reference changed the focal length by {change:+.1f} %"
-    return f"{note}; {changed} and leaves +-{half:.0f} % (90 %)."
+    return f"{note}; {changed} and leaves ±{half:.0f} % (90 %)."
 
 
 def _write_component(

@@ -7,7 +7,7 @@ from skymoor.store._closure import defining_modules, fingerprint, import_closure
 from skymoor.store._digest import digest
 from skymoor.store._marks import FETCHED, FRAMES, PRODUCTS, is_run
 from skymoor.store._plain import plain
-from skymoor.store._run import StageRecord, Store
+from skymoor.store._run import FROM_CACHE, StageRecord, Store
 from skymoor.store.photos import (
     FoundFiles,
     PhotoFile,
@@ -26,6 +26,7 @@ from skymoor.store.photos import (
 __all__ = [
     "FETCHED",
     "FRAMES",
+    "FROM_CACHE",
     "PRODUCTS",
     "FoundFiles",
     "PhotoFile",

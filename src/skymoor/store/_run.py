@@ -48,6 +48,8 @@ from skymoor.types import Photos, Progress, no_progress
 T = TypeVar("T")
 
 LOG = logging.getLogger("skymoor")
+FROM_CACHE = "from the cache"
+"""The note of the progress of a stage that was not computed again."""
 UNCOUNTED = ("progress", "checkpoint")
 """Options of stages that change how the work goes on, and not what comes of it."""
 
@@ -136,7 +138,7 @@ class Store:
             options.get("progress", no_progress)(0, 1)  # it begins; how much there is to do, the function knows
             return function(*inputs, **options)
 
-        return self._kept(name, key, compute)
+        return self._kept(name, key, compute, progress=options.get("progress", no_progress))
 
     def photos(
         self, name: str, found: FoundFiles, video: VideoOptions | None = None, progress: Progress = no_progress
@@ -155,7 +157,7 @@ class Store:
         require_enough(where, len(files), found.notes)
         content = tuple((file.name, self.files.sha256(file.path)) for file in files)
         key = self._key(check_photos, [content], [], None)
-        sizes = self._kept(name, key, lambda: check_photos(files, progress))
+        sizes = self._kept(name, key, lambda: check_photos(files, progress), progress=progress)
         return photos_of(files, sizes, content)
 
     def _frames(self, name: str, video: PhotoFile, options: VideoOptions, progress: Progress) -> list[PhotoFile]:
@@ -183,7 +185,14 @@ class Store:
         code = fingerprint(defining_modules(function, parts))
         return digest([code, name_of(function), settings, given, names, read, extra], self.files.sha256)
 
-    def _kept(self, name: str, key: str, compute: Callable[[], T], still: Callable[[T], bool] = lambda _: True) -> T:
+    def _kept(
+        self,
+        name: str,
+        key: str,
+        compute: Callable[[], T],
+        still: Callable[[T], bool] = lambda _: True,
+        progress: Progress = no_progress,
+    ) -> T:
         """The result that is kept under this key and is `still` valid, else that of `compute`, kept."""
         if not re.fullmatch(r"[a-z0-9][a-z0-9_.-]*", name) or name in self._records:
             raise ValueError(f"stage name {name!r} is not usable or was used before")
@@ -191,7 +200,8 @@ class Store:
         cached = self._cached(name, key, file)
         if cached is not None and still(cached[1]):
             record, value = cached
-            LOG.info("%s: from the cache", name)
+            LOG.info("%s: %s", name, FROM_CACHE)
+            progress(1, 1, FROM_CACHE)
         else:
             reset_peak()
             start = time.perf_counter()

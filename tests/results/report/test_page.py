@@ -14,13 +14,15 @@ import pytest
 
 from skymoor.cli.main import main
 from skymoor.registration.criterion_kinds import KINDS
-from skymoor.results.read import Result
+from skymoor.results.read import ComponentSummary, Result
 from skymoor.results.report.page import report_page
 from skymoor.results.report.survey import lens_parts, search_parts
+from skymoor.results.report.words import facts
 from support.finished import HOSTILE, finished_run
 
 FORMER = {"summary", "verdict", "map", "photos", "swipe", "heights", "components", "files", "stages", "provenance"}
 SECTIONS = FORMER | {"calibration", "block", "search", "glossary", "options"}
+UNKNOWN = {"ce90_m": None, "le90_m": None}
 AA = 4.5  # WCAG 2, small text
 
 
@@ -94,8 +96,15 @@ def test_a_run_without_any_place_is_told_too(tmp_path: Path) -> None:
     text = "".join(page.words)
     assert KINDS["competing_score"].remedy in text and KINDS["competing_score"].meaning in text
     assert "110.5" in text
+    assert "No camera has a position: this is the reference." in text and "Ellipses hold" not in text
     assert {"map", "components"} <= page.ids
     assert not page.ids & {"swipe", "heights"}
+
+
+def test_figures_that_are_not_known_are_left_out() -> None:
+    figures = {"n_cameras": 12, "n_inliers": 0, "n_matches": 0, "rmse_m": None}
+    refused = ComponentSummary("ground0", 0, registered=False, reason="", heights=None, **UNKNOWN, summary=figures)
+    assert facts(refused) == [("cameras", "12"), ("inliers", "0 of 0 matches")]
 
 
 def test_it_is_written_when_the_reference_has_gone(tmp_path: Path) -> None:
@@ -113,6 +122,24 @@ def test_heights_are_compared_where_both_are_known(tmp_path: Path) -> None:
     assert 0.45 < float(found[1]) < 0.55  # half a metre was put in
 
 
+def test_the_differences_in_height_are_numbers_too(tmp_path: Path) -> None:
+    folder = finished_run(tmp_path)
+    parts = Result.read(folder).statistics
+    assert main(["report", str(folder)]) == 0
+    found = json.loads((folder / "statistics.json").read_text())["height_difference"]
+    assert 0.45 < found["median_m"] < 0.55 and 0 <= found["spread_m"] < found["reach_m"]
+    assert 0.9 * found["n"] < sum(found["counts"]) <= found["n"]
+    assert Result.read(folder).statistics == parts  # those of components alone, as before
+
+
+def test_paper_shows_neither_hints_for_the_mouse_nor_all_options(tmp_path: Path) -> None:
+    text = report_page(Result.read(finished_run(tmp_path)))
+    on_paper = re.sub(r'<(span|details) class="screen">.*?</\1>', "", text, flags=re.DOTALL)
+    assert "Drag to move" in text and "Every option" in text
+    assert not re.search("Drag to move|Move the slider|Every option", on_paper)
+    assert ",.screen{display:none}" in text.partition("@media print{")[2]
+
+
 def test_the_summary_says_when_where_and_how_well(tmp_path: Path) -> None:
     result = Result.read(finished_run(tmp_path))
     found = result.summary["sets"][0]["components"][0]["statistics"]
@@ -124,6 +151,7 @@ def test_the_summary_says_when_where_and_how_well(tmp_path: Path) -> None:
         "height above the WGS 84 ellipsoid (EPSG:4979)",
         "EGM2008 height (EPSG:3855)",
         "9 of 10",
+        "airborne 0: CE90 2.1 m, LE90 3.8 m",
         f"{found['area_m2']:.0f} m²",
         f"{100 * found['gsd_m']:.1f} cm",
         f"{found['mean_track_length']:.1f}",

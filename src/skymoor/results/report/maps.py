@@ -171,9 +171,10 @@ def match_graph(
     dots += [f'<path d="M{x:.2f} {-y:.2f}h0"/>' for x, y in known]
     layer = Markup('<g class="edges">' + "".join(lines) + '</g><g class="nodes">' + "".join(dots) + "</g>")
     least = min((n for _, _, n in drawn), default=0)
+    points = f"{least} tie point{'' if least == 1 else 's'}"
     words = (
-        f"Lines join photos with common tie points, the strongest neighbours of each: {least} tie points where they "
-        f"are finest, {most} where they are widest. A thin waist is where a block can bend."
+        f"Lines join photos with common tie points, the strongest neighbours of each: {points} where they are finest, "
+        f"{most} where they are widest. A thin waist is where a block can bend."
     )
     label = f"Match graph, north up: {len(known)} photos and {len(drawn)} pairs"
     return Drawing(map_svg(box_around(np.array(known)), label, layer, ortho=ortho), words)

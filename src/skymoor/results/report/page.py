@@ -91,9 +91,9 @@ class Part:
     residuals: list[Markup] = field(default_factory=list)
 
 
-def report_page(result: Result) -> str:
-    """The page about a run, one HTML document that holds everything it shows."""
-    mosaic = mosaic_of(result)
+def report_page(result: Result, mosaic: Mosaic | None = None) -> str:
+    """The page about a run, one HTML document that holds everything it shows; `mosaic` is its, where it was read."""
+    mosaic = mosaic_of(result) if mosaic is None else mosaic
     ortho = mosaic.satellite is not None and mosaic.grid is not None
     parts = [_part(result, one, k) for k, one in enumerate(result.components)]
     text: str = _template().render(

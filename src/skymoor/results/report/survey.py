@@ -90,9 +90,20 @@ def summary_rows(result: Result) -> list[tuple[str, str]]:
         ("Heights of the products", _system(systems.get("heights"))),
         ("Heights of the reference", _system(systems.get("reference_heights"))),
         ("Photos with a position", f"{used} of {len(result.cameras)}"),
+        ("Predicted accuracy (90 %)", _accuracy_words(result)),
         ("Processing time", words.duration(seconds) if stages else ""),
     ]
     return [row for row in rows if row[1]]
+
+
+def _accuracy_words(result: Result) -> str:
+    """CE90 and LE90 of the cameras of each registered component: what is asked for first."""
+    told = []
+    for one in result.components:
+        if one.registered and one.ce90_m is not None:
+            height = "" if one.le90_m is None else f", LE90 {number(one.le90_m, 1)} m"
+            told.append(f"{one.image_set} {one.index}: CE90 {number(one.ce90_m, 1)} m{height}")
+    return "; ".join(told)
 
 
 def block_rows(result: Result) -> list[dict[str, str]]:

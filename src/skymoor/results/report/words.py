@@ -195,11 +195,16 @@ def facts(component: ComponentSummary) -> list[tuple[str, str]]:
     return [
         ("cameras", str(one.get("n_cameras", NONE))),
         ("inliers", f"{one.get('n_inliers', NONE)} of {one.get('n_matches', NONE)} matches"),
-        ("RMSE of inliers", f"{number(one.get('rmse_m'))} m"),
-        ("reprojection error", f"{number(error)} px"),
-        ("tilt", f"{number(one.get('tilt_deg'))}°"),
+        *_known("RMSE of inliers", one.get("rmse_m"), " m"),
+        *_known("reprojection error", error, " px"),
+        *_known("tilt", one.get("tilt_deg"), "°"),
         *_height_facts(one),
     ]
+
+
+def _known(name: str, value: float | None, unit: str) -> list[tuple[str, str]]:
+    """A figure with its unit; nothing where there is none, such as of what was refused before it was matched."""
+    return [] if value is None else [(name, f"{number(value)}{unit}")]
 
 
 def _height_facts(one: Mapping[str, Any]) -> list[tuple[str, str]]:
