@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from zipfile import ZipFile
 
 import pytest
 import torch
@@ -149,6 +150,35 @@ class TestFetch:
         monkeypatch.setattr(skymoor.engines.weights.table, "KNOWN", (Weights("toy", "", (file,), "MIT", "MIT"),))
         with pytest.raises(InputError, match="https or file addresses only"):
             fetch("toy", tmp_path, quiet)
+
+    @pytest.mark.parametrize(
+        ("content", "message"),
+        [
+            ("good", ""),
+            ("other", r"box\.zip: parts/toy\.pth is not the file that skymoor knows"),
+            ("empty", r"box\.zip: not the archive that skymoor knows \(.*parts/toy\.pth.*\); nothing is kept"),
+            ("cut off", r"box\.zip: not the archive that skymoor knows"),
+        ],
+    )
+    def test_out_of_an_archive(
+        self, content: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        box, inside = tmp_path / "box.zip", {"good": b"numbers", "other": b"others"}.get(content)
+        with ZipFile(box, "w") as archive:
+            archive.writestr("parts/toy.pth" if inside else "readme", inside or b"numbers")
+        if content == "cut off":
+            box.write_bytes(box.read_bytes()[:-30])
+        digest = hashlib.sha256(b"numbers").hexdigest()
+        file = WeightFile("toy.pth", box.as_uri(), 1, digest, member="parts/toy.pth")
+        monkeypatch.setattr(skymoor.engines.weights.table, "KNOWN", (Weights("toy", "", (file,), "MIT", "MIT"),))
+        if message:
+            with pytest.raises(InputError, match=message):
+                fetch("toy", tmp_path / "weights", quiet)
+            assert not list((tmp_path / "weights/toy").iterdir())
+            return
+        (done,) = fetch("toy", tmp_path / "weights", quiet)
+        assert done.path.read_bytes() == b"numbers" and done.sha256 == digest
+        assert [path.name for path in done.path.parent.iterdir()] == ["toy.pth"]
 
     def test_repository_without_the_hubs_library(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "huggingface_hub", None)

@@ -11,7 +11,7 @@ from skymoor.cli.main import main
 from skymoor.engines.options import files_of
 from skymoor.engines.weights import stamps
 from skymoor.errors import BackendUnavailable
-from skymoor.match import AlikedMatcher, RomaMatcher, StructuralMatcher
+from skymoor.match import AlikedMatcher, RomaMatcher, StructuralMatcher, XfeatMatcher
 from skymoor.pipeline.engines import Engines
 from skymoor.pipeline.option_parser import with_options
 from skymoor.pipeline.options import Options, check_engines
@@ -48,6 +48,22 @@ def test_the_defaults_need_nothing() -> None:
     assert engines.pair_filter("none") is engines.labeler("none") is engines.relative_depth("none") is None
     assert check_engines(Options()) == ()
     assert files_of(None, object(), StructuralMatcher()) == ()
+
+
+def test_key_points_are_matched_where_the_weights_lie(tmp_path: Path) -> None:
+    pytest.importorskip("kornia", reason="the extra of learned matchers is not installed")
+    chosen = with_options(Options(), {"engines.device": "cpu"})
+    assert chosen.ground.point_matcher(chosen.engines) is None
+    with pytest.raises(BackendUnavailable, match="skymoor weights fetch xfeat"):
+        check_engines(with_options(Options(), {"ground.key_points": "xfeat"}))
+    weights = tmp_path / "weights/xfeat/xfeat-lighterglue.pt"
+    weights.parent.mkdir(parents=True)
+    weights.touch()
+    assert chosen.ground.point_matcher(chosen.engines) == XfeatMatcher(device="cpu")
+    # Part of what a run's results depend on, and only with ground photos that are laid by walls.
+    assert check_engines(chosen) == (weights,) and check_engines(chosen, ground=False) == ()
+    for options in ({"ground.key_points": "none"}, {"ground.method": "exhaustive"}):
+        assert check_engines(with_options(chosen, options)) == ()
 
 
 def test_other_weights_under_the_same_name_are_noticed(tmp_path: Path) -> None:

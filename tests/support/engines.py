@@ -13,7 +13,15 @@ import torch
 
 from skymoor.densify import DepthAnythingDepth, MarigoldDepth, MetricDepthNetwork
 from skymoor.engines.aliked import AlikedFeatures
-from skymoor.match import AlikedMatcher, AnyLocRetriever, LoftrMatcher, RomaMatcher, RomaV2Matcher, TinyRomaMatcher
+from skymoor.match import (
+    AlikedMatcher,
+    AnyLocRetriever,
+    LoftrMatcher,
+    RomaMatcher,
+    RomaV2Matcher,
+    TinyRomaMatcher,
+    XfeatMatcher,
+)
 from skymoor.orient import OneFormerLabeler, SemanticLabeler
 from skymoor.reconstruct import AlikedPairMatcher, DedodeDetector, DoppelgangerClassifier, ViewGraph
 from skymoor.types import Photos, Raster
@@ -62,6 +70,7 @@ FILES = (
     Engine(TinyRomaMatcher, lambda p: TinyRomaMatcher(p, "cpu")(RASTER, RASTER), "tiny-roma", "romatch", "roma"),
     Engine(RomaMatcher, lambda p: RomaMatcher(p, p, "cpu")(RASTER, RASTER), "roma", "romatch", "roma"),
     Engine(RomaV2Matcher, lambda p: RomaV2Matcher(True, p)(RASTER, RASTER), "romav2", "romav2", "romav2"),
+    Engine(XfeatMatcher, lambda p: XfeatMatcher(p, "cpu")(RASTER, RASTER), "xfeat", "kornia.feature", "kornia"),
     Engine(DedodeDetector, lambda p: DedodeDetector(p, "cpu")(PHOTO), "dedode-b", "kornia.feature", "kornia"),
     Engine(AlikedPairMatcher, lightglue, "aliked", "kornia.feature", "kornia"),
     Engine(DoppelgangerClassifier, lambda p: DoppelgangerClassifier(p, "cpu")(NO_PAIRS), "doppelgangers"),

@@ -6,11 +6,12 @@ from skymoor.match._anyloc import AnyLocRetriever
 from skymoor.match._loftr import LoftrMatcher
 from skymoor.match._roma import RomaMatcher, TinyRomaMatcher
 from skymoor.match._romav2 import RomaV2Matcher
+from skymoor.match._xfeat import XfeatMatcher
 from skymoor.match.align import match_hypothesis, warp_raster
 from skymoor.match.cyclic import CyclicOptions, cyclic_matches
 from skymoor.match.decoys import DecoyOptions, decoy_scores
 from skymoor.match.hypothesis import ImageHypothesis
-from skymoor.match.protocol import DenseMatcher, Retriever
+from skymoor.match.protocol import DenseMatcher, PointMatcher, Retriever
 from skymoor.match.retrieve import ChannelRetriever
 from skymoor.match.search import SearchOptions, search_hypotheses
 from skymoor.match.structural import StructuralMatcher
@@ -24,12 +25,14 @@ __all__ = [
     "DenseMatcher",
     "ImageHypothesis",
     "LoftrMatcher",
+    "PointMatcher",
     "Retriever",
     "RomaMatcher",
     "RomaV2Matcher",
     "SearchOptions",
     "StructuralMatcher",
     "TinyRomaMatcher",
+    "XfeatMatcher",
     "cyclic_matches",
     "decoy_scores",
     "match_hypothesis",

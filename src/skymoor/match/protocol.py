@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Protocols of dense matchers and of image retrieval."""
+"""Protocols of matchers and of image retrieval."""
 
 from __future__ import annotations
 
@@ -18,6 +18,13 @@ class DenseMatcher(Protocol):
 
     def __call__(self, a: Raster, b: Raster) -> Warp:
         """Match in both directions; confidence 0 where there is no match."""
+
+
+class PointMatcher(Protocol):
+    """Matcher of key points of two images of about the same scale and rotation."""
+
+    def __call__(self, a: Raster, b: Raster) -> tuple[Array, Array]:
+        """Pixels (n, 2) of a and of b that show the same; the centre of the first pixel is (0.5, 0.5)."""
 
 
 class Retriever(Protocol):

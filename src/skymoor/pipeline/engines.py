@@ -17,17 +17,20 @@ from skymoor.densify import (
     SgmDepth,
 )
 from skymoor.engines.options import FIXED
+from skymoor.errors import BackendUnavailable
 from skymoor.match import AlikedMatcher as DenseAliked
 from skymoor.match import (
     AnyLocRetriever,
     ChannelRetriever,
     DenseMatcher,
     LoftrMatcher,
+    PointMatcher,
     Retriever,
     RomaMatcher,
     RomaV2Matcher,
     StructuralMatcher,
     TinyRomaMatcher,
+    XfeatMatcher,
 )
 from skymoor.orient import GroundLabeler, OneFormerLabeler, SemanticLabeler
 from skymoor.reconstruct import (
@@ -47,6 +50,7 @@ E = TypeVar("E")
 PairMatcherName = Literal["sift", "aliked", "dedode_roma", "colmap_aliked"]
 PairFilterName = Literal["none", "conflicts", "doppelgangers"]
 DenseMatcherName = Literal["structural", "aliked", "loftr", "tiny_roma", "roma", "romav2"]
+PointMatcherName = Literal["auto", "none", "xfeat"]
 RetrieverName = Literal["channels", "anyloc"]
 StereoName = Literal["sgm", "patchmatch"]
 RelativeDepthName = Literal["none", "marigold", "depth_anything"]
@@ -63,6 +67,7 @@ class Engines:
         sift, aliked, dedode, colmap_aliked: features of photos; ALIKED also matches the render with the reference.
         conflicts, doppelgangers: find pairs of photos of different but similar structures.
         structural, loftr, tiny_roma, roma, romav2: match the render with the reference, or photos with tiles.
+        xfeat: matches key points of walls.
         channels, anyloc: say which tiles a ground photo may show.
         sgm, patchmatch: dense stereo.
         marigold, depth_anything, metric_depth: depth of single photos.
@@ -81,6 +86,7 @@ class Engines:
     tiny_roma: TinyRomaMatcher = field(default_factory=TinyRomaMatcher)
     roma: RomaMatcher = field(default_factory=RomaMatcher)
     romav2: RomaV2Matcher = field(default_factory=RomaV2Matcher)
+    xfeat: XfeatMatcher = field(default_factory=XfeatMatcher)
     channels: ChannelRetriever = field(default_factory=ChannelRetriever, metadata=FIXED)
     anyloc: AnyLocRetriever = field(default_factory=AnyLocRetriever)
     sgm: SgmDepth = field(default_factory=SgmDepth)
@@ -112,6 +118,18 @@ class Engines:
             return DenseAliked(features.weights, self.device, features.max_keypoints, side_px=features.side_px)
         found: DenseMatcher = self._named(name)
         return found
+
+    def point_matcher(self, name: PointMatcherName) -> PointMatcher | None:
+        """What matches key points of walls: with "auto" XFeat where it can run; None for "none"."""
+        if name == "none":
+            return None
+        xfeat: XfeatMatcher = self._on_device(self.xfeat)
+        if name == "auto":
+            try:
+                xfeat.ready()
+            except BackendUnavailable:
+                return None
+        return xfeat
 
     def retriever(self, name: RetrieverName) -> Retriever:
         """What says which tiles a photo may show."""

@@ -214,6 +214,7 @@ def _search_walls(item: ComponentResult, airborne: _Airborne, job: Job) -> Hypot
     if not airborne.walls.facades:
         return OneHypothesis(refused(item.name, item.component, NO_FACADE).registration)
     options, progress = _of_size(job.options.ground.walls, item), job.track(f"{item.name}: walls")
+    options = replace(options, key_points=job.options.ground.point_matcher(job.options.engines))
     rng = np.random.default_rng(job.seed)
     return job.store.stage(
         f"{item.name}.search", search_ground, item.depths, airborne.walls, options, rng=rng, progress=progress

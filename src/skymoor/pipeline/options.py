@@ -11,7 +11,7 @@ from skymoor.engines.options import files_of
 from skymoor.ground.plan_view import OnMapOptions
 from skymoor.ground.tiles import CascadeOptions
 from skymoor.ground.walls import GroundOptions
-from skymoor.match import CyclicOptions, DecoyOptions, DenseMatcher, SearchOptions
+from skymoor.match import CyclicOptions, DecoyOptions, DenseMatcher, PointMatcher, SearchOptions
 from skymoor.model import MeshBuilder, NerfBuilder, RenderOptions, SceneBuilder
 from skymoor.pipeline.engines import (
     DenseMatcherName,
@@ -20,6 +20,7 @@ from skymoor.pipeline.engines import (
     MetricDepthName,
     PairFilterName,
     PairMatcherName,
+    PointMatcherName,
     RelativeDepthName,
     RetrieverName,
     StereoName,
@@ -145,6 +146,8 @@ class GroundChoices:
             "cascade" and "exhaustive" match the photos with tiles of the airborne model's renders by `matcher`, few of
             the pairs or all as in the paper.
         matcher, retriever: of "cascade" and "exhaustive"; "anyloc" is the paper's retriever.
+        key_points: of "walls": what tells walls apart that look alike; "auto" takes XFeat where its weights lie on disk
+            (`skymoor weights fetch xfeat`), which places more components.
         labels: which network says where the ground is; the cameras' height above it is the unit of the search.
         metric: which network says how many metres that is, so that less has to be searched.
         densify: dense stereo of ground photos.
@@ -156,6 +159,7 @@ class GroundChoices:
     method: Literal["walls", "cascade", "exhaustive"] = "walls"
     matcher: DenseMatcherName = "structural"
     retriever: RetrieverName = "channels"
+    key_points: PointMatcherName = "auto"
     labels: LabelerName = "none"
     metric: MetricDepthName = "none"
     densify: StereoName = "sgm"
@@ -167,6 +171,10 @@ class GroundChoices:
     def dense_matcher(self, engines: Engines) -> DenseMatcher | None:
         """What matches photos with tiles; None for "walls"."""
         return None if self.method == "walls" else engines.dense_matcher(self.matcher)
+
+    def point_matcher(self, engines: Engines) -> PointMatcher | None:
+        """What matches key points of walls; None for other methods, and where there is none."""
+        return engines.point_matcher(self.key_points) if self.method == "walls" else None
 
 
 @dataclass(frozen=True)
@@ -214,5 +222,6 @@ def check_engines(options: Options, *, ground: bool = True) -> tuple[Path, ...]:
         engines.labeler(chosen.labels),
         engines.metric_scale(chosen.metric),
         chosen.dense_matcher(engines),
+        chosen.point_matcher(engines),
         engines.retriever(chosen.retriever) if chosen.method == "cascade" else None,
     )

@@ -79,6 +79,19 @@ def test_the_contrast_is_the_excess_over_perturbed_positions() -> None:
     assert found.diagnostics["second_contrast"] == pytest.approx(40 / np.sqrt(2))
 
 
+def test_key_points_order_places_and_do_not_decide() -> None:
+    plain = candidate(25, cells=30)
+    seen = replace(plain, key_point_cells=60)
+    gain = 1.24 * np.log(61)
+    assert (seen.odds - plain.odds, seen.evidence - plain.evidence) == (pytest.approx(gain), pytest.approx(gain))
+    assert replace(plain, key_point_cells=0).odds == plain.odds
+    # Facades that are alike from both sides have them at a mirror image, too.
+    assert seen.likelihood == plain.likelihood
+    found = decide_ground([replace(elsewhere(60), key_point_cells=4), seen], PROBES)
+    assert not found.registered and found.diagnostics["key_point_cells"] == 60
+    assert "key_point_cells" not in decide_ground([plain], PROBES).diagnostics
+
+
 @pytest.mark.parametrize(
     ("candidates", "word"),
     [

@@ -34,6 +34,14 @@ def test_finalists_are_those_that_fit_best_and_the_best_in_plan() -> None:
     assert _finalists(on_walls[:2], 6) == on_walls[:2]
 
 
+def test_what_only_key_points_favour_is_refined_too() -> None:
+    others = [replace(at(10.0 * k, score=60.0 - k), key_point_cells=3) for k in range(8)]
+    told_by_key_points = replace(at(500.0, score=9.0, plan_score=1.0), key_point_cells=25)
+    assert any(one is told_by_key_points for one in _finalists([*others, told_by_key_points], 4))
+    without = replace(told_by_key_points, key_point_cells=None)
+    assert not any(one is without for one in _finalists([*others, without], 4))
+
+
 def test_of_each_place_the_best_fit_is_matched() -> None:
     maps = walk_round(houses(1), 0, count=3)
     search = SimpleNamespace(maps=maps, options=GroundOptions())

@@ -5,11 +5,14 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urlsplit
+from zipfile import BadZipFile, ZipFile
 
 from skymoor.engines.download import PREFIX, Fetched, FileProgress, download
+from skymoor.engines.temporary import temporary_folder
 from skymoor.engines.weights.files import sha256_of, verify
 from skymoor.engines.weights.table import WeightFile, known
 from skymoor.errors import BackendUnavailable, InputError
@@ -58,7 +61,30 @@ def _make_room(path: Path) -> None:
 def _fetch_file(file: WeightFile, path: Path, progress: FileProgress) -> None:
     if urlsplit(file.url).scheme not in ("https", "file"):
         raise InputError(f"{file.url}: weights come from https or file addresses only")
-    download(file.url, path, sha256=file.sha256, size_mb=file.size_mb, progress=progress)
+    if file.member:
+        _fetch_member(file, path, progress)
+    else:
+        download(file.url, path, sha256=file.sha256, size_mb=file.size_mb, progress=progress)
+
+
+def _fetch_member(file: WeightFile, path: Path, progress: FileProgress) -> None:
+    """A file out of the archive at its address."""
+    with temporary_folder(path.parent, PREFIX) as temporary:
+        archive, part = temporary / "archive", temporary / path.name
+        by_hand = f"put {file.member} of it by hand at {path}"
+        download(file.url, archive, size_mb=file.size_mb, progress=progress, by_hand=by_hand)
+        try:
+            with ZipFile(archive) as content, content.open(file.member) as source, part.open("wb") as target:
+                shutil.copyfileobj(source, target)
+        except (BadZipFile, KeyError, zlib.error) as error:
+            reason = str(error).strip("'\"")
+            raise InputError(f"{file.url}: not the archive that skymoor knows ({reason}); nothing is kept") from None
+        if file.sha256 not in (None, found := sha256_of(part)):
+            raise InputError(
+                f"{file.url}: {file.member} is not the file that skymoor knows (sha256 {found}, expected "
+                f"{file.sha256}); nothing is kept"
+            )
+        part.replace(path)
 
 
 def _fetch_folder(file: WeightFile, path: Path) -> None:

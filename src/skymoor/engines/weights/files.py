@@ -102,6 +102,7 @@ def load_into(
     path: Path,
     *,
     part: str = "",
+    below: str = "",
     may_miss: Collection[str] = (),
     renamed: Callable[[str], str] = str,
 ) -> None:
@@ -110,13 +111,15 @@ def load_into(
     Args:
         network: a `torch.nn.Module`.
         path, part: see `load_state_dict`.
+        below: how the names of its tensors begin in a file that holds several networks.
         may_miss: names that the network has and the file need not have: constants.
         renamed: the network's name for a name in the file.
 
     Raises:
         InputError: see `load_state_dict`; or the tensors are those of another network.
     """
-    tensors = {renamed(name): tensor for name, tensor in load_state_dict(path, part=part).items()}
+    found = load_state_dict(path, part=part).items()
+    tensors = {renamed(name.removeprefix(below)): tensor for name, tensor in found if name.startswith(below)}
     try:
         missing, unexpected = network.load_state_dict(tensors, strict=False)
     except RuntimeError as error:  # shapes that differ

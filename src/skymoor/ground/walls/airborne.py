@@ -32,7 +32,7 @@ from skymoor.ground.walls.roof_edges import RoofEdgeOptions, SurfaceImage, roof_
 from skymoor.ground.walls.roof_facades import RoofFacadeOptions, roof_facades
 from skymoor.ground.walls.shifts import ShiftOptions
 from skymoor.ground.walls.visibility import HeightRaster, height_raster_of
-from skymoor.match import CyclicOptions, DenseMatcher, StructuralMatcher
+from skymoor.match import CyclicOptions, DenseMatcher, PointMatcher, StructuralMatcher
 from skymoor.match.overlay import render_bounds, warp_confidence, warp_to_grid
 from skymoor.registration import RegisterOptions
 from skymoor.registration.detail import averaged
@@ -63,6 +63,7 @@ class GroundOptions:
         min_kept: share of that agreement that must remain after the final fit to the matches.
         picture_px: largest long side of the photos that colour walls below roof edges.
         plan_cell_m: of the search in plan.
+        key_points: what matches those of walls; None where there is no learned matcher.
         edges, roof_facades, plan, walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register,
             facade_pairs, acceptance: of the steps.
     """
@@ -102,6 +103,7 @@ class GroundOptions:
         default_factory=lambda: RegisterOptions(inlier_m=0.5, correlation_m=3.0, tilt_sigma_deg=1.0), metadata=FIXED
     )
     facade_pairs: FacadePairOptions = field(default_factory=FacadePairOptions, metadata=FIXED)
+    key_points: PointMatcher | None = field(default=None, metadata=FIXED)
     acceptance: AcceptanceOptions = field(default_factory=AcceptanceOptions)
 
 

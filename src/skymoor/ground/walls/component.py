@@ -20,6 +20,7 @@ from skymoor.ground.walls.dense import photo_matches, wall_matches
 from skymoor.ground.walls.facade_pairs import FacadePair, pair_facades
 from skymoor.ground.walls.facade_search import agreement_of_channels, search_facades
 from skymoor.ground.walls.facades import Facade, facade_of, set_back, similarity_between
+from skymoor.ground.walls.key_points import agreeing_cells
 from skymoor.ground.walls.pool import WallHypothesis
 from skymoor.ground.walls.refine import RefineOptions, perturbed, refine_pose, turned
 from skymoor.ground.walls.shifts import PoseEvidence, WallPictures, best_shift
@@ -227,6 +228,15 @@ class ComponentSearch:
         """The hypothesis with the scores of perturbed positions around it."""
         trials = perturbed(hypothesis.enu_from_level, self.options.perturbation)
         return replace(hypothesis, perturbed_scores=tuple(self._agreement(trial)[1] for trial in trials))
+
+    def with_key_points(self, hypothesis: RefinedHypothesis) -> RefinedHypothesis:
+        """The hypothesis with the key points of walls that agree there; as it is without a matcher of these."""
+        options, airborne = self.options, self.airborne
+        if options.key_points is None:
+            return hypothesis
+        pose = hypothesis.enu_from_level
+        pairs = pair_facades(airborne.facades, airborne.heights, self.maps, pose, options.facade_pairs)
+        return replace(hypothesis, key_point_cells=agreeing_cells(pairs, options.key_points))
 
     def fitted_to_matches(self, hypothesis: RefinedHypothesis) -> RefinedHypothesis:
         """Refine the pose by its matches; keep the scores on which acceptance is decided.

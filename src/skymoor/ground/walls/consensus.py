@@ -27,6 +27,8 @@ PLAN_LIKELIHOOD, CELLS_LIKELIHOOD, CONTRAST_LIKELIHOOD = 0.42, 1.24, 0.1
 """Logarithm of the likelihood ratio of right to wrong placements, per unit of the score in plan, of ln(1 + cells) and
 of the contrast: Fisher's linear discriminant on sites simulated under real conditions. Contrast had no weight there
 beside the others; it has this one since it tells right from wrong where facades are seen well."""
+KEY_POINTS_WEIGHT = 1.24
+"""Of ln(1 + cells with key points that agree) in the order of hypotheses: as of the other matches, not fitted."""
 NULL_MEAN, NULL_SPREAD, NULL_COUNT = 7.9, 1.35, 16
 """Of that sum over the best answers for mirrored components, the highest of all decoys; see docs/benchmarks.md."""
 UNAMBIGUOUS_SHARE = 0.25
@@ -61,6 +63,8 @@ class RefinedHypothesis:
     height of the cameras above the ground (median), `blocked` the share of viewing rays that cross
     walls; `cells` counts the independent cubes that hold inliers, see `independent_cells`; `perturbed_scores` are those
     of positions a few metres away. `plan_score` is the agreement in plan, see `PlanHypothesis`; NaN where unknown.
+    `key_point_cells` counts places on walls with key points that agree, see `agreeing_cells`; None where none are
+    matched.
     """
 
     origin: WallHypothesis
@@ -74,12 +78,19 @@ class RefinedHypothesis:
     cells: int
     perturbed_scores: tuple[float, ...] = ()
     plan_score: float = float("nan")
+    key_point_cells: int | None = None
 
     @property
     def evidence(self) -> float:
-        """What orders hypotheses before their photos are matched."""
+        """What orders hypotheses before their photos are matched.
+
+        Key points order places and do not decide about them: on facades that are alike from both sides they agree with
+        a mirror image as well (docs/decisions/0031).
+        """
         in_plan = float(_positive(self.plan_score))
-        return CONTRAST_WEIGHT * self.contrast + PLAN_WEIGHT * in_plan - float(unusual_height(self.height_m))
+        of_key_points = KEY_POINTS_WEIGHT * float(np.log1p(self.key_point_cells or 0))
+        of_pictures = CONTRAST_WEIGHT * self.contrast + PLAN_WEIGHT * in_plan + of_key_points
+        return of_pictures - float(unusual_height(self.height_m))
 
     @property
     def fit(self) -> float:
@@ -191,6 +202,8 @@ def decide_ground(
         "blocked": best.blocked,
         "cells": float(best.cells),
     }
+    if best.key_point_cells is not None:
+        diagnostics["key_point_cells"] = float(best.key_point_cells)
     criteria = [found_any, *_criteria(best, ratio, options)]
     return with_criteria(replace(with_shared_error(found), diagnostics=diagnostics), criteria)
 

@@ -39,7 +39,8 @@ def search_ground(
         the hypotheses. The diagnostics of the registration that is decided from them are "likelihood" and
         "second_likelihood" of the best hypothesis and of the best one elsewhere, their "contrast", "second_contrast",
         "score" and "second_score", "plan_score", "ncc",
-        "walls_seen", "support" (walls that agree), "pooled_score" of these, "height_m", "blocked", "cells", and the
+        "walls_seen", "support" (walls that agree), "pooled_score" of these, "key_point_cells" where key points are
+        matched, "height_m", "blocked", "cells", and the
         extent of the search: "walls", "guesses" (hypotheses of single walls), "answers" (pooled ones).
     """
     options = options or GroundOptions()
@@ -50,6 +51,7 @@ def search_ground(
     pooled = pool_hypotheses(single, search.probes, options.pool)
     scored = [*(search.refined_by_walls(hypothesis) for hypothesis in pooled), *search.plan_hypotheses(progress)]
     scored = _distinct([search.shifted(hypothesis) for hypothesis in scored], search)
+    scored = [search.with_key_points(hypothesis) for hypothesis in scored]
     refined = _refined(_finalists(scored, options.finalists), search, progress)
     counts = {"walls": len(search.searched), "guesses": len(single), "answers": len(pooled), "scored": len(scored)}
     return WallHypotheses(
@@ -67,10 +69,11 @@ def _distinct(scored: Sequence[RefinedHypothesis], search: ComponentSearch) -> l
 
 
 def _finalists(scored: Sequence[RefinedHypothesis], count: int) -> list[RefinedHypothesis]:
-    """Those that fit best and the best in plan, where steps of the search matter less, in turn."""
+    """Those that fit best, the best in plan, where steps of the search matter less, and in key points, in turn."""
     by_fit = sorted(scored, key=lambda hypothesis: -hypothesis.fit)
     in_plan = sorted(scored, key=lambda hypothesis: -np.nan_to_num(hypothesis.plan_score, nan=-np.inf))
-    in_turn = [one for both in zip(by_fit, in_plan, strict=True) for one in both]
+    by_key_points = sorted(by_fit, key=lambda hypothesis: -(hypothesis.key_point_cells or 0))
+    in_turn = [one for each in zip(by_fit, in_plan, by_key_points, strict=True) for one in each]
     return list({id(one): one for one in in_turn}.values())[:count]
 
 
@@ -99,7 +102,8 @@ def _refined(
     """The hypotheses refined with all photos, best first; the best of them by matches, on walls of their own scale."""
     moved = []
     for done, hypothesis in enumerate(hypotheses):
-        moved.append(search.with_background(search.refined_as_a_whole(hypothesis, search.options.screen)))
+        moved.append(search.refined_as_a_whole(hypothesis, search.options.screen))
+        moved[-1] = search.with_key_points(search.with_background(moved[-1]))
         progress(done + 1, len(hypotheses))
     ranked = sorted(moved, key=lambda hypothesis: -hypothesis.evidence)
     matched = _best_of_places(ranked, search.options.matched, search)
@@ -116,5 +120,5 @@ def _refined(
         own = rescaled[step] if step else search
         current = own.refined_by_photos(own.taken_from(search, hypothesis))
         current = own.with_background(own.refined_as_a_whole(current, own.options.refine))
-        found.append(own.in_level_frame(own.fitted_to_matches(current)))
+        found.append(own.in_level_frame(own.with_key_points(own.fitted_to_matches(current))))
     return sorted(found, key=lambda hypothesis: -hypothesis.odds)
