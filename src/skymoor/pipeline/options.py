@@ -146,8 +146,8 @@ class GroundChoices:
             "cascade" and "exhaustive" match the photos with tiles of the airborne model's renders by `matcher`, few of
             the pairs or all as in the paper.
         matcher, retriever: of "cascade" and "exhaustive"; "anyloc" is the paper's retriever.
-        key_points: of "walls": what tells walls apart that look alike; "auto" takes XFeat where its weights lie on disk
-            (`skymoor weights fetch xfeat`), which places more components.
+        key_points: of "walls": what else compares walls, to order places; "auto" takes XFeat where its weights lie on
+            disk (`skymoor weights fetch xfeat`).
         labels: which network says where the ground is; the cameras' height above it is the unit of the search.
         metric: which network says how many metres that is, so that less has to be searched.
         densify: dense stereo of ground photos.
