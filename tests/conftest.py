@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
+from typing import Any
 
 # Before anything imports the libraries that read it: no test asks a hub for anything, not even whether it is there.
 os.environ["HF_HUB_OFFLINE"] = "1"
@@ -23,6 +24,22 @@ from support.offline import offline
 from support.pictures import Overhead, overhead
 from support.sharing import shared
 from support.small_run import run
+
+LONG = ("test_notebook", "test_interrupted_runs")
+"""Modules whose tests are long though they do not run the whole job."""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Workers take half each and then from each other: so most fixtures of modules are made by one of them only."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log) if config.getoption("dist") == "load" else None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest first, so that no worker waits for another at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("e2e") is None and item.path.stem not in LONG)
 
 
 @pytest.fixture

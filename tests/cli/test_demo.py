@@ -34,7 +34,7 @@ def test_the_demo_finds_the_site_that_it_made(
 ) -> None:
     monkeypatch.setattr(commands, "DEMO", SMALL)
     # Less to search, for time only; but all decoys: so few small photos score not far above them.
-    real, fewer = commands.run, (*OPTIONS, "match.min_height_m=46", "match.decoys.count=4")
+    real, fewer = commands.run, (*OPTIONS, "match.decoys.count=4")
     monkeypatch.setattr(commands, "run", lambda command: real(replace(command, set=fewer)))
     assert main(["demo", "--out", str(tmp_path), "--quiet"]) == 0
     truth = json.loads((tmp_path / "site/truth.json").read_text())

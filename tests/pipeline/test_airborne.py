@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from skymoor.cli.main import main
 from skymoor.geo import EnuFrame, mahalanobis
+from skymoor.model.nerf import Sizes
+from skymoor.model.nerf.options import NerfOptions
 from skymoor.simulate.plan import dates_of
 from skymoor.simulate.satellite import ACCURACY_M, make_reference
 from skymoor.simulate.site import Site
@@ -65,7 +67,7 @@ def test_summary_says_how_well(finished: Path, small_site: Site) -> None:
     assert 0.02 < component["rmse_m"] < 0.4
     assert component["tilt_deg"] < 1.0
     assert component["enu_from_sfm"]["scale"] > 0
-    assert summary["seed"] == 3 and summary["options"]["match"]["max_height_m"] == 92
+    assert summary["seed"] == 3 and summary["options"]["match"]["max_height_m"] == 85
     # Of the reference alone; registration and focal length add to it.
     ce90, le90 = ACCURACY_M[OPTIONS.preset]
     assert ce90 - 0.01 < component["predicted_ce90_m"] < ce90 + 0.3
@@ -133,8 +135,13 @@ def test_a_second_run_is_served_from_the_cache(copied: Path, small_site: Site) -
     assert (copied / "cameras.csv").read_text() == before
 
 
-def test_a_radiance_field_places_the_photos_as_well(copied: Path, small_site: Site) -> None:
-    options = ("--set", "model.kind=nerf", "--set", "model.nerf.iterations=10")
+def test_a_radiance_field_places_the_photos_as_well(
+    copied: Path, small_site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A small field, for time only: depth maps tell it nearly everything.
+    sizes = Sizes(levels=4, table_log2=15, finest_table_log2=17, hidden=16, colour_hidden=16, rays=1024, iterations=10)
+    monkeypatch.setattr(NerfOptions, "sizes", sizes)
+    options = ("--set", "model.kind=nerf")
     mesh = rows_of(copied / "cameras.csv")
     assert run(small_site.folder / "airborne.toml", copied, *options) == 0
     redone = ("model", "nadir", "search", "decoys", "places", "register")
@@ -149,8 +156,8 @@ def test_a_radiance_field_places_the_photos_as_well(copied: Path, small_site: Si
 
 def test_too_few_ground_photos_are_refused_and_listed(copied: Path, small_site: Site) -> None:
     before = rows_of(copied / "cameras.csv")
-    fewer = ("--set", "ground.walls.finalists=4", "--set", "ground.walls.matched=1")
-    assert run(small_site.toml, copied, *fewer) == 3
+    fewer = ("finalists=4", "matched=1", "searched_walls=3")
+    assert run(small_site.toml, copied, *(word for one in fewer for word in ("--set", f"ground.walls.{one}"))) == 3
     # The airborne photos are where they were.
     assert all(stage == "walls" or stage.startswith("ground0") for stage in computed_stages(copied))
     airborne, ground = summary_of(copied)["sets"]

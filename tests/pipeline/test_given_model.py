@@ -38,8 +38,8 @@ from support.small_run import OPTIONS, SEED, rows_of, summary_of
 
 pytestmark = pytest.mark.e2e
 
-COARSE = dict(map(parse_option, (*OPTIONS, "match.search.template_px=64", "match.search.azimuth_step_deg=9")))
-"""Where the model is searched twice."""
+COARSE = dict(map(parse_option, (*OPTIONS, "match.search.azimuth_step_deg=12", "match.search.scale_step=1.12")))
+"""Where the model is searched twice, at every scale."""
 
 
 def registered(site: Site, model: object, out: Path, **more: Any) -> tuple[Result, list[str]]:

@@ -12,7 +12,7 @@ from skymoor.cli.main import main
 
 # Narrower and coarser than the defaults, to save time; the flights are 73 to 77 m above ground.
 SEARCH = (
-    *("min_height_m=60", "max_height_m=92", "search.template_px=64", "search.reference_px=384"),
+    *("min_height_m=66", "max_height_m=85", "search.template_px=64", "search.reference_px=384"),
     "search.azimuth_step_deg=9",
 )
 OPTIONS = (*(f"match.{one}" for one in SEARCH), "match.decoys.count=2", "engines.sift.max_features=2500")

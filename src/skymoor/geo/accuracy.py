@@ -105,5 +105,5 @@ def _share_within(radius: float, ratio: float) -> float:
     """
     t = (np.arange(2048) + 0.5) * (np.pi / 2 / 2048)
     x, half_width = radius * np.sin(t), radius * np.cos(t)
-    across = np.ones_like(t) if ratio == 0 else 1.0 - 2.0 * scipy.stats.norm.sf(half_width / ratio)
-    return float(np.pi * np.mean(scipy.stats.norm.pdf(x) * across * half_width))
+    across = np.ones_like(t) if ratio == 0 else 1.0 - 2.0 * scipy.special.ndtr(-half_width / ratio)
+    return float(np.pi * np.mean(np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi) * across * half_width))

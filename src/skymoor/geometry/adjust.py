@@ -252,7 +252,8 @@ def _gaussian_means(loss: Loss) -> tuple[float, float, float]:
                 "square": (_weights(loss, m) * m) ** 2 / 3.0,
                 "weight": _weights(loss, m),
             }
-            return float(value[of][0] * scipy.stats.chi.pdf(length, 3))
+            of_chi = np.sqrt(2 / np.pi) * length**2 * np.exp(-(length**2) / 2)  # density of the length
+            return float(value[of][0] * of_chi)
 
         cut = TUKEY_CUT if loss == "tukey" else HUBER_CUT
         return float(scipy.integrate.quad(integrand, 0.0, cut)[0] + scipy.integrate.quad(integrand, cut, cut + 12.0)[0])

@@ -57,7 +57,7 @@ def correlate(template: Channels, target: Target, *, min_overlap: float, valid: 
     reference = target.spectra(size)
     stack = np.concatenate([template.values, template.known[:1]])
     # Correlation is convolution with the template rotated by 180 degrees.
-    template_spectra = fft.rfft2(np.ascontiguousarray(stack[:, ::-1, ::-1]), s=size, workers=_WORKERS)
+    template_spectra = _padded_spectra(np.ascontiguousarray(stack[:, ::-1, ::-1]), size)
     products = np.empty((3, *template_spectra.shape[1:]), np.complex64)
     np.multiply(template_spectra[0], reference[0], out=products[0])
     for k in range(1, len(template_spectra) - 1):
@@ -75,6 +75,13 @@ def correlate(template: Channels, target: Target, *, min_overlap: float, valid: 
         score = numerator / np.sqrt(np.maximum(template_energy * energy, 1e-6)) * np.sqrt(np.maximum(overlap, 0))
     score[(overlap < max(min_overlap * area, 100)) | (energy < 1e-3 * float(energy.max()))] = -np.inf
     return np.asarray(score, dtype=np.float32)
+
+
+def _padded_spectra(stack: Array32, size: tuple[int, int]) -> NDArray[np.complex64]:
+    """`fft.rfft2` at this size; the rows that padding adds are not transformed, for they are zero."""
+    rows = fft.rfft(stack, size[1], workers=_WORKERS)
+    spectra: NDArray[np.complex64] = fft.fft(rows, size[0], axis=-2, workers=_WORKERS)
+    return spectra
 
 
 def peaks(surface: Array32, *, count: int, apart: int) -> Iterator[tuple[float, float, float]]:

@@ -165,6 +165,20 @@ class ReferencePyramid:
         return self._targets[ratio, options]
 
 
+class _Part:
+    """Channels of the reference about a place, whose outer corner is at (left, top) of the reduced reference."""
+
+    def __init__(self, channels: Channels, left: float, top: float) -> None:
+        self._channels, self.left, self.top = channels, left, top
+        self._last: tuple[tuple[int, int, int], Target] | None = None
+
+    def window(self, u0: int, v0: int, side: int) -> Target:
+        """A square of it; the last one is kept with its spectra, for turns are tried one after another in it."""
+        if self._last is None or self._last[0] != (u0, v0, side):
+            self._last = (u0, v0, side), Target(crop_channels(self._channels, u0, v0, side))
+        return self._last[1]
+
+
 class _Search:
     """One search: the image and the reference at all sizes that it needs."""
 
@@ -254,30 +268,30 @@ class _Search:
     def _target(self, ratio: float) -> Target:
         return self._reference.at(ratio, self.options.channels)
 
-    def _around(self, place: ImageHypothesis, ratio: float) -> tuple[Channels, float, float]:
-        """Channels of the reference about a place, and the position of their outer corner; of a small one all."""
+    def _around(self, place: ImageHypothesis, ratio: float) -> _Part:
+        """The reference about a place; of a small one all."""
         if ratio**2 * self._reference.raster.mask.size <= LARGE_PX:
-            return self._target(ratio).channels, 0.0, 0.0
+            return _Part(self._target(ratio).channels, 0.0, 0.0)
         side = int(1.2 * place.scale * ratio * float(np.hypot(*self._shape))) + 2 * BORDER_PX
         u0, v0 = (x * ratio - side / 2 for x in place.centre_px)
         part, u, v = self._reference.pyramid.window(ratio, u0, v0, side)
-        return make_channels(part, self.options.channels), u, v
+        return _Part(make_channels(part, self.options.channels), u, v)
 
     def _locate(
         self,
         trial: ImageHypothesis,
         channels: Channels,
         ratio: float,
-        part: tuple[Channels, float, float],
+        part: _Part,
         radius: int = 8,
     ) -> ImageHypothesis:
         """The best position within `radius` pixels, and its score; `channels` are the image's at the trial's scale."""
         template = rotate_channels(channels, trial.azimuth_rad)
-        side, (around, left, top) = template.values.shape[1], part
+        side, left, top = template.values.shape[1], part.left, part.top
         middle = trial.centre_px[0] * ratio - left, trial.centre_px[1] * ratio - top
         u0, v0 = (round(x - side / 2) - radius for x in middle)
-        window = crop_channels(around, u0, v0, side + 2 * radius)
-        scores = correlate(template, Target(window), min_overlap=self.options.min_overlap, valid=True)
+        window = part.window(u0, v0, side + 2 * radius)
+        scores = correlate(template, window, min_overlap=self.options.min_overlap, valid=True)
         for v, u, score in peaks(scores, count=1, apart=1):
             centre_px = ((left + u0 + u + side / 2) / ratio, (top + v0 + v + side / 2) / ratio)
             return replace(trial, centre_px=centre_px, score=score)
@@ -301,9 +315,9 @@ def rotate_channels(channels: Channels, azimuth: float) -> Channels:
 def crop_channels(channels: Channels, u0: int, v0: int, side: int) -> Channels:
     """A square window whose first pixel is (u0, v0), zero beyond the image."""
     h, w = channels.values.shape[1:]
-    stack = np.concatenate([channels.values, channels.known])
-    window = np.zeros((len(stack), side, side), np.float32)
     us, ue, vs, ve = max(0, u0), min(w, u0 + side), max(0, v0), min(h, v0 + side)
+    windows = [np.zeros((len(stack), side, side), np.float32) for stack in (channels.values, channels.known)]
     if us < ue and vs < ve:
-        window[:, vs - v0 : ve - v0, us - u0 : ue - u0] = stack[:, vs:ve, us:ue]
-    return Channels(window[:-2], window[-2:])
+        for window, stack in zip(windows, (channels.values, channels.known), strict=True):
+            window[:, vs - v0 : ve - v0, us - u0 : ue - u0] = stack[:, vs:ve, us:ue]
+    return Channels(*windows)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtr  # scipy.stats takes a second to load
 
 from skymoor.registration.agreement import Agreement
 from skymoor.types import Array
@@ -62,7 +62,7 @@ def _tail(value: float, null: Array, usual_spread: float) -> float:
     squares = float(((null - null.mean()) ** 2).sum()) + USUAL_DECOYS * usual_spread**2
     dof = n - 1 + USUAL_DECOYS
     spread = np.sqrt(squares / dof * (1 + 1 / n))
-    return float(t.sf((value - null.mean()) / spread, dof))
+    return float(stdtr(dof, -(value - null.mean()) / spread))
 
 
 def _logit(agreement: Agreement) -> float:

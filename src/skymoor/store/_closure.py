@@ -19,6 +19,7 @@ import skymoor
 
 ROOT = skymoor.__name__
 FOLDER = Path(skymoor.__file__).parent
+BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")  # of statements within a statement
 
 
 def defining_modules(function: Callable[..., object], values: Iterable[object] = ()) -> frozenset[str]:
@@ -96,13 +97,17 @@ def _handed_on(module: str) -> dict[str, tuple[str, str]]:
 
 
 def _statements(tree: ast.Module) -> Iterator[ast.AST]:
-    """All nodes but those for the type checker alone."""
+    """All statements but those for the type checker alone; no expression can hold an import."""
     left: list[ast.AST] = [tree]
     while left:
         node = left.pop()
         yield node
-        typing_only = isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
-        left += node.orelse if typing_only and isinstance(node, ast.If) else ast.iter_child_nodes(node)
+        blocks = BLOCKS[1:] if isinstance(node, ast.If) and _is_typing_only(node.test) else BLOCKS
+        left += [child for block in blocks for child in getattr(node, block, ())]
+
+
+def _is_typing_only(test: ast.expr) -> bool:
+    return "TYPE_CHECKING" in (getattr(test, "id", ""), getattr(test, "attr", ""))
 
 
 def _ours(name: str) -> bool:

@@ -44,7 +44,7 @@ def test_noisy_depths_with_holes_give_heights_below_their_noise(toy: Toy, rough:
 def test_photos_find_a_roof_that_no_depth_map_measured(toy: Toy) -> None:
     maps, half = blinded(toy.exact), blind_half(VIEW)
     median = []
-    for builder in (toy.untrained, toy.with_sizes(iterations=400)):
+    for builder in (toy.untrained, toy.with_sizes(iterations=300)):
         render = builder(component_of(maps), maps).render(VIEW)
         error = np.abs(toy.error_px(render.xyz, VIEW)[half])
         median.append(np.median(error[np.isfinite(error)]))

@@ -9,7 +9,7 @@ from math import sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import t as student
+from scipy.special import stdtr  # scipy.stats takes a second to load
 
 from skymoor.geometry import Similarity
 from skymoor.ground.plan_view import ScoreOptions
@@ -29,11 +29,12 @@ of the contrast: Fisher's linear discriminant on sites simulated under real cond
 beside the others; it has this one since it tells right from wrong where facades are seen well."""
 KEY_POINTS_WEIGHT = 1.24
 """Of ln(1 + cells with key points that agree) in the order of hypotheses: as of the other matches, not fitted."""
-NULL_MEAN, NULL_SPREAD, NULL_COUNT = 7.9, 1.35, 16
-"""Of that sum over the best answers for mirrored components, the highest of all decoys; see docs/benchmarks.md."""
+NULL_MEAN, NULL_SPREAD, NULL_COUNT = 7.65, 1.4, 20
+"""Of that sum over the best answers for mirrored components, the highest of all decoys; see docs/benchmarks.md. The
+count is that of components, some of which answered with and without key points."""
 UNAMBIGUOUS_SHARE = 0.25
 """Of wrong answers: the ones that also have the contrast and the lead over other places that are needed (7 of 30 before
-all shifts were searched, about 1 of 29 since; the larger share is kept)."""
+all shifts were searched, 1 of 29 since, 5 of 20 mirrored ones with key points)."""
 USUAL_HEIGHT_M, HEIGHT_SPREAD = ScoreOptions.usual_height_m, ScoreOptions.height_sigma
 LEAST_HEIGHT_M, LARGEST_LOG = 0.3, 20.0
 """Of cameras above the ground, log-normal: held by people, on dashboards (2 to 3.5 m with the vehicle) and on poles."""
@@ -223,7 +224,7 @@ def _chance(best: RefinedHypothesis) -> float:
     Of the likelihood by Student's predictive distribution, independent of the others.
     """
     spread = NULL_SPREAD * sqrt(1 + 1 / NULL_COUNT)
-    return UNAMBIGUOUS_SHARE * float(student.sf((best.likelihood - NULL_MEAN) / spread, NULL_COUNT - 1))
+    return UNAMBIGUOUS_SHARE * float(stdtr(NULL_COUNT - 1, -(best.likelihood - NULL_MEAN) / spread))
 
 
 def _criteria(best: RefinedHypothesis, ratio: float, options: AcceptanceOptions) -> list[Criterion]:
