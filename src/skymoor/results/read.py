@@ -99,7 +99,7 @@ class Result:
         path = Path(folder) / "summary.json"
         if not is_there(Path(folder), folder=True):
             raise InputError(f"{folder}: there is no such folder; name the one that skymoor run wrote with --out")
-        if not is_there(path):
+        if not path.exists():
             raise InputError(f"{folder}: is not the folder of a finished run, it has no summary.json; {RUN_FIRST}")
         try:
             summary = json.loads(regular(path).read_text(encoding="utf-8"))
