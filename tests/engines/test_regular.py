@@ -15,8 +15,8 @@ import pytest
 from rasterio.errors import RasterioIOError
 
 from skymoor.batch.sites import SiteTask, outcome_of
-from skymoor.engines.regular import arrays_of, is_of_content, is_there, reason_of, regular
-from skymoor.errors import InputError
+from skymoor.engines.regular import arrays_of, content_told, is_there, regular
+from skymoor.errors import BackendUnavailable, InputError
 from skymoor.pipeline.control_files import read_control
 from skymoor.pipeline.control_places import Stated
 from skymoor.pipeline.reference_files import earlier_run
@@ -101,13 +101,26 @@ class PanicException(BaseException):
     """As libraries in Rust raise it."""
 
 
+def told(error: BaseException, *, disk: bool = False) -> str:
+    """What is told of an error."""
+    with pytest.raises(InputError) as caught, content_told(Path("a"), "is odd", "mend it", disk=disk):
+        raise error
+    return str(caught.value)
+
+
 def test_what_parsers_raise_is_of_the_content() -> None:
     for error in (ValueError(), RecursionError(), MemoryError(), RasterioIOError("no raster"), PanicException("no")):
-        assert is_of_content(error)
+        assert told(error).startswith("a: is odd (") and told(error).endswith("); mend it")
     for error in (OSError(28, "No space left on device"), PermissionError(), KeyboardInterrupt(), SystemExit()):
-        assert not is_of_content(error)
-    assert reason_of(ValueError("\n first\nsecond")) == " first" and reason_of(MemoryError()) == "MemoryError"
-    assert len(reason_of(ValueError("x" * 9999))) < 1000 and len(str(InputError("x" * 9999))) < 2100
+        with pytest.raises(type(error)), content_told(Path("a"), "is odd", "mend it"):
+            raise error
+    assert told(PermissionError("no"), disk=True) == "a: is odd (no); mend it"
+    for error in (KeyboardInterrupt("stop"), InputError("b: is even"), BackendUnavailable("no library")):
+        with pytest.raises(type(error), match=str(error)), content_told(Path("a"), "is odd", "mend it", disk=True):
+            raise error
+    assert told(ValueError("\n first\nsecond")) == "a: is odd ( first); mend it"
+    assert told(MemoryError()) == "a: is odd (MemoryError); mend it"
+    assert len(told(ValueError("x" * 9999))) < 1000 and len(str(InputError("x" * 9999))) < 2100
     whole = InputError("file.csv: " + "x" * 9999 + "; remove it")
     assert str(whole).startswith("file.csv: ") and str(whole).endswith("; remove it")
 

@@ -15,7 +15,7 @@ from skymoor import __version__
 from skymoor.engines.libraries import version_of
 from skymoor.engines.weights import KNOWN, weights_folder
 from skymoor.errors import BackendUnavailable
-from skymoor.results.report.pdf import browser
+from skymoor.results.report.pdf import WITHOUT_BROWSER, browser
 
 LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "pycolmap", "rasterio", "pyproj", "laspy", "rich")
 OPTIONAL = {
@@ -121,8 +121,8 @@ def _disks(folder: Path) -> Iterator[Check]:
 def _browser() -> Check:
     try:
         return Check("browser for report.pdf", browser())
-    except BackendUnavailable as error:
-        return Check("browser for report.pdf", "-", str(error).partition("none is here: ")[2], needed=False)
+    except BackendUnavailable:
+        return Check("browser for report.pdf", "-", WITHOUT_BROWSER, needed=False)
 
 
 def _weights() -> Iterator[Check]:

@@ -6,12 +6,15 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from skymoor.errors import BackendUnavailable, InputError
 
 LONGEST = 300
 """Letters of what a parser says."""
@@ -38,7 +41,25 @@ def is_there(path: Path, *, folder: bool = False) -> bool:
         return False
 
 
-def is_of_content(error: BaseException) -> bool:
+@contextmanager
+def content_told(path: Path, words: str, remedy: str, *, disk: bool = False) -> Iterator[None]:
+    """Turn whatever the content of a file makes its parsers raise into an `InputError`: path, words, reason, remedy.
+
+    Errors of the disk pass, unless `disk`.
+    """
+    try:
+        yield
+    except (InputError, BackendUnavailable):
+        raise
+    except BaseException as error:
+        if not (_is_of_content(error) or (disk and isinstance(error, OSError))):
+            raise
+        reason = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
+        # Parsers may repeat all of the file.
+        raise InputError(f"{path}: {words} ({reason[:LONGEST]}); {remedy}") from error
+
+
+def _is_of_content(error: BaseException) -> bool:
     """Whether an error came of what a file holds, as parsers raise them in many ways, and not of the disk.
 
     A library in Rust raises errors that are no `Exception`; those of GDAL are errors of the disk, too.
@@ -48,11 +69,6 @@ def is_of_content(error: BaseException) -> bool:
     if isinstance(error, OSError):
         return type(error).__module__.startswith("rasterio")
     return isinstance(error, Exception)
-
-
-def reason_of(error: BaseException) -> str:
-    """The first line of an error, and not all that it repeats of the file."""
-    return next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)[:LONGEST]
 
 
 def arrays_of(path: Path, names: Sequence[str]) -> list[NDArray[Any]]:

@@ -8,7 +8,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from skymoor.engines.aliked import AlikedFeatures
@@ -17,12 +16,11 @@ from skymoor.engines.options import FIXED
 from skymoor.errors import InputError
 from skymoor.match.flow import warp_from_pairs
 from skymoor.match.protocol import DenseMatcher
+from skymoor.match.rasters import well_inside
 from skymoor.types import Array, Raster, Warp
 
 if TYPE_CHECKING:
     import torch
-
-BORDER_PX = 4  # key points closer to the mask's border respond to the border itself
 
 
 @dataclass(frozen=True)
@@ -81,9 +79,5 @@ def _keypoints(features: AlikedFeatures, raster: Raster) -> tuple[Array, torch.T
     times: at most two megabytes each.
     """
     px, descriptors = features(raster.rgb)
-    side = 2 * BORDER_PX + 1
-    inner = cv2.erode(raster.mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-    h, w = raster.mask.shape
-    column, row = np.clip(px.astype(np.intp), 0, [w - 1, h - 1]).T
-    kept = np.flatnonzero(inner[row, column])
+    kept = well_inside(px, raster.mask)
     return px[kept], descriptors[kept]

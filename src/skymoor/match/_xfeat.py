@@ -12,17 +12,17 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.lightglue import Described, join, lightglue
 from skymoor.engines.options import FIXED
 from skymoor.engines.tensors import as_tensor
 from skymoor.engines.weights import find, load_into
 from skymoor.match.protocol import PointMatcher
+from skymoor.match.rasters import well_inside
 from skymoor.types import Array, Raster
 
-BORDER_PX = 4  # key points closer to the mask's border respond to the border itself
 FEWEST = 8
 PARTS = ("extractor.model.net.", "matcher.")  # of the names in the file, which holds both networks
 
@@ -53,35 +53,23 @@ class XfeatMatcher:
             BackendUnavailable: kornia or the weights are missing.
             InputError: the weights are not those of XFeat with LighterGlue.
         """
-        import torch
-
         device = torch_device(self.device)
         extractor, matcher = _networks(*self.ready(), device)
-        px_a, described_a = self._key_points(extractor, a, device)
-        px_b, described_b = self._key_points(extractor, b, device)
-        if min(len(px_a), len(px_b)) < FEWEST:
+        in_a, in_b = (self._key_points(extractor, image, device) for image in (a, b))
+        if min(len(in_a[0]), len(in_b[0])) < FEWEST:
             return np.zeros((0, 2)), np.zeros((0, 2))
-        inputs = {}
-        for name, px, described, image in (("image0", px_a, described_a, a), ("image1", px_b, described_b, b)):
-            size = torch.tensor([image.mask.shape[::-1]], dtype=torch.float32, device=device)
-            points = torch.from_numpy(px - 0.5).float().to(device)[None]  # the centre of the first pixel is (0, 0)
-            inputs[name] = {"keypoints": points, "descriptors": described[None], "image_size": size}
-        with torch.inference_mode():
-            i, j = matcher(inputs)["matches"][0].cpu().numpy().T
-        return px_a[i], px_b[j]
+        size_a, size_b = ((image.mask.shape[1], image.mask.shape[0]) for image in (a, b))
+        i, j = join(matcher, in_a, in_b, size_a, size_b)["matches"][0].cpu().numpy().T
+        return in_a[0][i], in_b[0][j]
 
-    def _key_points(self, extractor: Any, image: Raster, device: str) -> tuple[Array, Any]:
+    def _key_points(self, extractor: Any, image: Raster, device: str) -> Described:
         """Pixels (n, 2) well inside the mask, and descriptors (n, 64)."""
         import torch
 
         with torch.inference_mode():
             found = extractor.detectAndCompute(as_tensor(image.rgb, device), top_k=self.max_keypoints)[0]
         px = found["keypoints"].cpu().numpy().astype(np.float64) + 0.5
-        side = 2 * BORDER_PX + 1
-        inner = cv2.erode(image.mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-        h, w = image.mask.shape
-        column, row = np.clip(px.astype(np.intp), 0, [w - 1, h - 1]).T
-        kept = np.flatnonzero(inner[row, column])
+        kept = well_inside(px, image.mask)
         return px[kept], found["descriptors"][torch.from_numpy(kept).to(device)]
 
 
@@ -91,11 +79,7 @@ _: type[PointMatcher] = XfeatMatcher
 @lru_cache(maxsize=1)
 def _networks(weights: Path, device: str) -> tuple[Any, Any]:
     """XFeat and LighterGlue of one file."""
-    feature = require("kornia.feature", "kornia")
-    extractor = feature.XFeat().eval()
-    # With the name of a feature the library would download weights.
-    matcher = feature.LightGlue(features=None, **{**feature.LightGlue.features["xfeat"], "weights": None}).eval()
+    extractor = require("kornia.feature", "kornia").XFeat().eval()
     load_into(extractor.net, weights, below=PARTS[0])
-    load_into(matcher, weights, below=PARTS[1], may_miss=("confidence_thresholds",))
     extractor.dev = torch_device(device)
-    return extractor.to(device), matcher.to(device)
+    return extractor.to(device), lightglue("xfeat", weights, device, below=PARTS[1])

@@ -3,11 +3,23 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from skymoor.types import Raster, Reference, Render
+from skymoor.types import Array, Mask, Raster, Reference, Render
 
 FLAT_M = 0.05
+BORDER_PX = 4  # key points closer to the mask's border respond to the border itself
+
+
+def well_inside(px: Array, mask: Mask) -> NDArray[np.intp]:
+    """Which pixels (n, 2) lie on the mask and not beside its border; that of the image does not count as one."""
+    side = 2 * BORDER_PX + 1
+    inner = cv2.erode(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+    h, w = mask.shape
+    column, row = np.clip(px.astype(np.intp), 0, [w - 1, h - 1]).T
+    return np.flatnonzero(inner[row, column])
 
 
 def nadir_raster(render: Render, min_confidence: float = 0.3) -> Raster:

@@ -4,16 +4,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skymoor.engines.regular import is_of_content, reason_of, regular
-from skymoor.errors import BackendUnavailable, InputError
+from skymoor.engines.regular import content_told, regular
+from skymoor.errors import InputError
 from skymoor.types import Array
 
 FEWEST_POINTS = 500
@@ -26,17 +25,9 @@ SMALLEST, LARGEST = 1e-9, 1e9
 THINNEST = 1e-6
 
 
-@contextmanager
-def readable(path: Path, kind: str) -> Iterator[None]:
+def readable(path: Path, kind: str) -> AbstractContextManager[None]:
     """Turn whatever a damaged file makes its reader raise into an `InputError`: it is no `kind`."""
-    try:
-        yield
-    except (InputError, BackendUnavailable):
-        raise
-    except BaseException as error:  # parsers of others stumble in many ways, and ours over values of the wrong kind
-        if not (is_of_content(error) or isinstance(error, OSError)):
-            raise
-        raise InputError(f"{path}: is no {kind} that can be read ({reason_of(error)}); export it again") from error
+    return content_told(path, f"is no {kind} that can be read", "export it again", disk=True)
 
 
 def json_of(path: Path) -> Any:

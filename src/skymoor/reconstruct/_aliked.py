@@ -18,18 +18,18 @@ import numpy as np
 
 from skymoor.engines.aliked import AlikedFeatures
 from skymoor.engines.libraries import require, torch_device
+from skymoor.engines.lightglue import Described, join, lightglue
 from skymoor.engines.options import FIXED
-from skymoor.engines.weights import find, load_into
+from skymoor.engines.weights import find
 from skymoor.errors import InputError
 from skymoor.reconstruct.database import Matched, coarsest_px, enter_photos, write_verified
 from skymoor.reconstruct.pairs import exhaustive_pairs, preemptive_pairs
 from skymoor.reconstruct.protocol import PairMatcher
-from skymoor.types import Array, Photos, Progress
+from skymoor.types import Photos, Progress
 
 if TYPE_CHECKING:
-    import torch
+    pass
 
-Described = tuple[Array, "torch.Tensor"]
 RETRIEVAL = 512  # best key points per photo
 
 
@@ -109,10 +109,10 @@ class AlikedPairMatcher:
         pairs: Sequence[tuple[int, int]],
         report: Callable[[int], None],
     ) -> Iterator[Matched]:
-        join = self._nearest if self.join == "nearest" else self._lightglue
+        joined = self._nearest if self.join == "nearest" else self._lightglue
         for done, (i, j) in enumerate(pairs):
             enough = min(len(found[i][0]), len(found[j][0])) >= 2
-            index = join(found[i], found[j], photos.sizes[i], photos.sizes[j]) if enough else np.zeros((0, 2))
+            index = joined(found[i], found[j], photos.sizes[i], photos.sizes[j]) if enough else np.zeros((0, 2))
             yield i, j, np.asarray(index, np.uint32)
             report(done + 1)
 
@@ -121,21 +121,7 @@ class AlikedPairMatcher:
         return index.cpu().numpy()
 
     def _lightglue(self, a: Described, b: Described, *sizes: tuple[int, int]) -> Any:
-        import torch
-
-        device = torch_device(self.features.device)
-        network = _lightglue(self.ready()[-1], device)
-        inputs = {
-            f"image{k}": {
-                # LightGlue was trained with the centre of the first pixel at (0, 0).
-                "keypoints": torch.from_numpy(px - 0.5).float().to(device)[None],
-                "descriptors": described[None],
-                "image_size": torch.tensor([size], device=device),
-            }
-            for k, ((px, described), size) in enumerate(zip((a, b), sizes, strict=True))
-        }
-        with torch.inference_mode():
-            found = network(inputs)
+        found = join(_lightglue(self.ready()[-1], torch_device(self.features.device)), a, b, *sizes)
         confident = found["scores"][0] >= self.min_confidence
         return found["matches"][0][confident].cpu().numpy()
 
@@ -145,14 +131,10 @@ _: type[PairMatcher] = AlikedPairMatcher
 
 @lru_cache(maxsize=1)
 def _lightglue(weights: Path, device: str) -> Any:
-    library = require("kornia.feature", "kornia").LightGlue
-    # With the name of a feature the library would download weights.
-    network = library(features=None, **{**library.features["aliked"], "weights": None})
     # Published under earlier names of the layers.
-    load_into(
-        network,
+    return lightglue(
+        "aliked",
         weights,
-        may_miss=("confidence_thresholds",),
+        device,
         renamed=lambda name: re.sub(r"^(self|cross)_attn\.(\d+)", r"transformers.\2.\1_attn", name),
     )
-    return network.to(device).eval()

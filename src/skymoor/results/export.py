@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from skymoor import __version__
-from skymoor.engines.regular import is_of_content, reason_of, regular
+from skymoor.engines.regular import content_told, regular
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.pipeline.option_parser import nearest
 from skymoor.results.formats._registry import FORMATS
@@ -87,15 +87,8 @@ def _fill(source: Source, name: str, folder: Path) -> None:
 
 def _heights_of(source: Source, name: str, folder: Path) -> str:
     """What the format says of its heights, once it is written. Raises `InputError` where products are damaged."""
-    try:
+    with content_told(source.result.folder, f"cannot be written as {name}", RUN_FIRST):
         return FORMATS[name](source, folder)
-    except (InputError, BackendUnavailable):
-        raise
-    except BaseException as error:
-        if not is_of_content(error):
-            raise
-        why = f"cannot be written as {name} ({reason_of(error)})"
-        raise InputError(f"{source.result.folder}: {why}; {RUN_FIRST}") from error
 
 
 def _require_out(result: Result, out: Path) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Key points of walls that agree between their orthophotos from the ground and from the air.
 
-What decides between places: learned key points hardly match between walls that resemble each other in floors and edges
-only, where the hand-made channels agree a little anywhere. Of the matches of a wall those count that are displaced
+What orders places: learned key points hardly match between walls that resemble each other in floors and edges only,
+where the hand-made channels agree a little anywhere. Of the matches of a wall those count that are displaced
 alike, by no more than a hypothesis may still be off.
 """
 

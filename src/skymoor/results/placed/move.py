@@ -7,8 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from skymoor.engines.regular import is_of_content, reason_of
-from skymoor.errors import BackendUnavailable, InputError
+from skymoor.engines.regular import content_told
 from skymoor.models.given import GivenModel, Part, PartKind
 from skymoor.pipeline.job import ComponentResult
 from skymoor.results.placed.cameras import (
@@ -48,14 +47,8 @@ MOVERS: dict[PartKind, Callable[[Path, Path, Placement], list[str]]] = {
 
 def move_part(part: Part, folder: Path, placement: Placement) -> list[str]:
     """Write one file of a model where it belongs; notes. Raises `InputError` for one that cannot be moved."""
-    try:
+    with content_told(part.path, "cannot be moved", "export it again"):  # of what was not needed to render it
         return MOVERS[part.kind](part.path, folder, placement.offset_by(part.offset))
-    except (InputError, BackendUnavailable):
-        raise
-    except BaseException as error:  # of what was not needed to render it
-        if not is_of_content(error):
-            raise
-        raise InputError(f"{part.path}: cannot be moved ({reason_of(error)}); export it again") from error
 
 
 def place_model(

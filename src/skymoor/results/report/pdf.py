@@ -15,6 +15,7 @@ from skymoor.store import atomic_file
 
 PDF = "report.pdf"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "microsoft-edge", "chrome")
+WITHOUT_BROWSER = f"install one, name it in the environment variable CHROMIUM, or print {PAGE} from your own browser"
 PRINT_S = 120
 
 
@@ -26,10 +27,7 @@ def browser() -> str:
     named = os.environ.get("CHROMIUM")
     found = named if named else next((path for name in BROWSERS if (path := shutil.which(name))), None)
     if found is None:
-        raise BackendUnavailable(
-            f"{PDF} is printed by Chromium, Chrome or Edge, and none is here: install one, name it in the environment "
-            f"variable CHROMIUM, or print {PAGE} from your own browser"
-        )
+        raise BackendUnavailable(f"{PDF} is printed by Chromium, Chrome or Edge, and none is here: {WITHOUT_BROWSER}")
     return found
 
 
