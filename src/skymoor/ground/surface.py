@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,9 +66,3 @@ def _of_one(depth_map: DepthMap, max_sigma_ratio: float, stride: int) -> Surface
     # Added in double precision: a model need not lie near its origin.
     points = (xyz_cam @ rotation).astype(np.float64) + depth_map.camera.centre
     return Surface(points.astype(np.float32), normals @ rotation)
-
-
-def sample_nearest(values: Array32, u: Array32, v: Array32) -> Array32:
-    """Values of the pixels that hold the positions (u, v) of any shape; NaN outside."""
-    nearest = cv2.remap(values, u - 0.5, v - 0.5, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
-    return np.asarray(nearest, dtype=np.float32)

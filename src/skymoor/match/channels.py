@@ -117,7 +117,7 @@ def _fill(values: Array32, mask: Mask) -> Array32:
     """Extrapolate an image beyond its mask with local means, so that the mask border creates no edge."""
     known = mask.astype(np.float32)
     filled = np.where(mask, values, 0).astype(np.float32)
-    for sigma in (2.0, 8.0, 32.0):
+    for sigma in (2.0, 8.0):
         weight = _blur(known, sigma)
         mean = _blur(np.where(known > 0, filled, 0), sigma) / np.maximum(weight, 1e-6)
         fillable = (known == 0) & (weight > 1e-2)

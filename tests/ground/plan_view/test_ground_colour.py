@@ -15,6 +15,7 @@ from skymoor.ground.plan_view.ground_colour import (
     ground_cells,
     ground_layers,
     ground_picture,
+    moved_cells,
     smoothed_layers,
 )
 from skymoor.types import Camera, DepthMap
@@ -98,3 +99,9 @@ def test_too_little_ground_agrees_with_nothing() -> None:
     small[100:103, 100:103] = True
     cells = ground_cells(smoothed_layers(ground_layers(lawns(SIDE), small), 0.5), 0.5, 0.0, 100)
     assert np.isnan(cells.agreement(target, np.array([[0, 0]]))).all()
+
+
+def test_moved_cells_are_on_the_border_where_they_leave_the_layer() -> None:
+    layer = np.arange(12).reshape(3, 4) + 1
+    at = moved_cells(np.array([[0, 0], [3, 2]]), np.array([[0, 0], [-1, 0], [0, 1], [40, -40], [1, 1]]), layer.shape)
+    assert np.pad(layer, 1).take(at).tolist() == [[1, 12], [0, 11], [5, 0], [0, 0], [6, 0]]

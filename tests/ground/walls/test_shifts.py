@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from skymoor.geometry import Similarity
-from skymoor.ground.walls import Facade, Wall, facade_of, height_raster_of, pair_facades, surface_of
+from skymoor.ground.walls import Wall, facade_of, height_raster_of, pair_facades, surface_of
 from skymoor.ground.walls.facade_search import agreement_of_channels
 from skymoor.ground.walls.facades import set_back
 from skymoor.ground.walls.shifts import PoseEvidence, ShiftOptions, WallPictures, agreement_of_shifts, best_shift
 from skymoor.match.channels import ChannelOptions, make_channels
+from skymoor.match.correlate import Target
 from skymoor.types import Array
 from support.houses import Houses, walk_round
 
@@ -26,13 +27,14 @@ HEIGHTS = height_raster_of(surface_of(WALK))
 
 
 def pictures_at(pose: Similarity) -> Callable[[float], WallPictures]:
-    def pictures(outwards: float) -> list[tuple[Facade, object, object]]:
+    def pictures(outwards: float) -> WallPictures:
         walls = [set_back(facade, outwards) for facade in FACADES]
         pairs = pair_facades(walls, HEIGHTS, WALK, pose)
         options = ChannelOptions(smooth_px=1.3), ChannelOptions()
-        return [(one.facade, *map(make_channels, (one.ground, one.airborne), options)) for one in pairs]
+        channels = [map(make_channels, (one.ground, one.airborne), options) for one in pairs]
+        return [(one.facade, ground, Target(other)) for one, (ground, other) in zip(pairs, channels, strict=True)]
 
-    return pictures  # type: ignore[return-value]
+    return pictures
 
 
 def shifted(metres: Array) -> Similarity:
@@ -64,7 +66,7 @@ def test_scores_are_those_of_the_shifted_poses() -> None:
     for row, (east, north) in zip(found, east_north, strict=True):
         for value, height in zip(row, up, strict=True):
             pictures = pictures_at(shifted(np.array([east, north, height])))(0.0)
-            _, expected = agreement_of_channels([(ground, airborne) for _, ground, airborne in pictures])
+            _, expected = agreement_of_channels([(ground, target.channels) for _, ground, target in pictures])
             assert value == pytest.approx(expected, abs=9.0)
     at_rest = found[0, 1]
     assert found.argmax() == 1

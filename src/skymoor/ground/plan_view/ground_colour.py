@@ -57,12 +57,13 @@ class ColourMap:
         known = share >= 0.5
         return ColourMap(np.where(known, channels / np.maximum(share, 0.25), 0), known, self.spread)
 
-    def at(self, columns: Whole, rows: Whole) -> tuple[Array32, Mask]:
-        """Channels (3, ...) of cells, and which of them are known."""
-        height, width = self.known.shape
-        inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
-        u, v = np.where(inside, columns, 0), np.where(inside, rows, 0)
-        return self.channels[:, v, u], inside & self.known[v, u]
+    @cached_property
+    def padded(self) -> Array32:
+        """Channels less their means, and 1 where they are known (4, (h + 2) (w + 2)); 0 elsewhere and on a border."""
+        known = self.known.astype(np.float32)
+        means = [one[self.known].mean() if self.known.any() else 0.0 for one in self.channels]
+        layers = [np.where(self.known, one - mean, 0) for one, mean in zip(self.channels, means, strict=True)]
+        return np.pad([*layers, known], ((0, 0), (1, 1), (1, 1))).reshape(CHANNELS + 1, -1).astype(np.float32)
 
 
 def halved(values: Array32) -> Array32:
@@ -127,6 +128,17 @@ def _seen(one: DepthMap, points: Array) -> tuple[Image, Mask]:
     return one.rgb[v, u], inside & ~hidden
 
 
+def moved_cells(cells: Whole, moves: Whole, shape: tuple[int, ...]) -> Whole:
+    """Cells (n, 2), u and v, moved by (k, 2): flat elements (k, n) in a layer of that shape with a border of one cell.
+
+    All that is beyond the layer is on its border.
+    """
+    (columns, of_u), (rows, of_v) = (np.unique(moves[:, axis], return_inverse=True) for axis in (0, 1))
+    u, v = cells[:, 0] + columns[:, None] + 1, cells[:, 1] + rows[:, None] + 1
+    u, v = np.clip(u, 0, shape[1] + 1), np.clip(v, 0, shape[0] + 1) * (shape[1] + 2)
+    return np.asarray(u[of_u] + v[of_v])
+
+
 @dataclass(frozen=True, eq=False)
 class GroundCells:
     """Cells of a turned and scaled ground picture: `offsets` (n, 2) in cells from its corner, `channels` (3, n)."""
@@ -147,15 +159,16 @@ class GroundCells:
         """Correlation (k,) with the orthophoto, with the corner at cells (k, 2); NaN where it is hardly known."""
         if self.offsets.shape[0] < FEWEST_CELLS:
             return np.full(len(corners), np.nan, np.float32)
-        at = corners[:, None, :] + self.offsets[None]
-        theirs, known = target.at(at[..., 0], at[..., 1])
-        count = np.maximum(known.sum(axis=1), 1)
-        own, theirs = self.channels[:, None, :] * known, theirs * known
-        means = [x.sum(axis=2, keepdims=True) / count[:, None] for x in (own, theirs)]
-        own, theirs = ((x - mean) * known for x, mean in zip((own, theirs), means, strict=True))
+        *others, known = target.padded.take(moved_cells(self.offsets, corners, target.known.shape), axis=1)
+        count, theirs = np.maximum(known.sum(axis=1), 1), np.stack(others)
+        own = self.channels - self.channels.mean(axis=1, keepdims=True)
+        # Moments (3, k) over the cells that are known: `theirs` is zero elsewhere.
+        mean_own, mean_theirs = (known @ own.T / count[:, None]).T, theirs.sum(axis=2) / count
+        square_own, square_theirs = (known @ (own**2).T / count[:, None]).T, (theirs**2).sum(axis=2) / count
+        product = (theirs @ own[..., None])[..., 0] / count
         floor = (FLOOR * target.spread[:, None]) ** 2
-        sizes = [np.sqrt((x**2).sum(axis=2) / count + floor) for x in (own, theirs)]
-        each = (own * theirs).sum(axis=2) / count / (sizes[0] * sizes[1])
+        variances = [np.maximum(x, 0) + floor for x in (square_own - mean_own**2, square_theirs - mean_theirs**2)]
+        each = (product - mean_own * mean_theirs) / np.sqrt(variances[0] * variances[1])
         found = WEIGHTS @ each / WEIGHTS.sum()
         return np.where(known.mean(axis=1) >= 0.5, found, np.nan).astype(np.float32)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from skymoor.geometry import Similarity
-from skymoor.ground.plan_view.ground_colour import GroundCells
+from skymoor.ground.plan_view.ground_colour import GroundCells, moved_cells
 from skymoor.ground.plan_view.target import PlanTarget
 from skymoor.ground.plan_view.template import PlanModel, PlanPoints
 from skymoor.types import Array, Array32, Mask
@@ -133,17 +133,18 @@ class PlanScores:
     ) -> tuple[Array32, Array32, Mask, Array32 | None]:
         """Agreement with the steps, share of free space in houses, whether enough is on the map, ground; each (n,)."""
         turn, least = enu_from_level.rotation[:2, :2], self.options.on_map
-        walls, free = (self._cells(enu_from_level, xy)[None] + moves[:, None] for xy in (points.walls, points.free))
         normals = (points.normals @ turn.T * [1, -1]).astype(np.float32)
         weight = np.hypot(*normals.T)
         east, south, known = self.target.steps_and_known
-        on_walls = _flat(east, walls)
-        steps = east.ravel()[on_walls] @ normals[:, 0] + south.ravel()[on_walls] @ normals[:, 1]
-        on_map = known.ravel()[on_walls] @ weight >= least * weight.sum()
-        in_free = _flat(known, free)
-        free_known = known.ravel()[in_free] @ points.freedom
+        on_walls, in_free = (
+            moved_cells(self._cells(enu_from_level, xy), moves, self.target.known.shape)
+            for xy in (points.walls, points.free)
+        )
+        steps = east.take(on_walls) @ normals[:, 0] + south.take(on_walls) @ normals[:, 1]
+        on_map = known.take(on_walls) @ weight >= least * weight.sum()
+        free_known = known.take(in_free) @ points.freedom
         valid = on_map & (free_known >= least * points.freedom.sum())
-        inside = self.target.padded_raised.ravel()[in_free] @ points.freedom / np.maximum(free_known, 1e-6)
+        inside = self.target.padded_raised.take(in_free) @ points.freedom / np.maximum(free_known, 1e-6)
         if self.target.colour is None:
             return steps, inside, valid, None
         cells = GroundCells(self._cells(enu_from_level, points.ground), points.channels)
@@ -153,14 +154,3 @@ class PlanScores:
         """Cells (n, 2), u and v, of plan positions of the level frame."""
         enu = enu_from_level.apply(np.column_stack([xy, np.zeros(len(xy))]))
         return np.floor(self.target.grid.px_from_enu(enu[:, :2])).astype(np.int32)
-
-
-def _flat(padded: Array32, cells: Whole) -> Whole:
-    """Flat elements (...) of cells (..., 2), u and v, in a layer with a border of one cell, which is all beyond it."""
-    rows, columns = padded.shape
-    u, v = cells[..., 0] + 1, cells[..., 1] + 1
-    np.clip(u, 0, columns - 1, out=u)
-    np.clip(v, 0, rows - 1, out=v)
-    v *= columns
-    v += u
-    return v

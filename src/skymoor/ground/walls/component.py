@@ -24,8 +24,9 @@ from skymoor.ground.walls.key_points import agreeing_cells
 from skymoor.ground.walls.pool import WallHypothesis
 from skymoor.ground.walls.refine import RefineOptions, perturbed, refine_pose, turned
 from skymoor.ground.walls.shifts import PoseEvidence, WallPictures, best_shift
-from skymoor.ground.walls.visibility import check_visibility, view_rays_of
-from skymoor.match.channels import Channels, make_channels
+from skymoor.ground.walls.visibility import ViewRays, check_visibility, view_rays_of
+from skymoor.match.channels import make_channels
+from skymoor.match.correlate import Target
 from skymoor.registration import independent_cells, register, restated, with_covariance_of
 from skymoor.types import Array, DepthMap, Matches3D, Progress, Registration
 
@@ -63,11 +64,12 @@ class ComponentSearch:
     metric_from_level: Similarity
     maps: Sequence[DepthMap]
     facades: Sequence[Facade]
+    rays: ViewRays
     airborne: AirborneWalls
     options: GroundOptions
     rng: np.random.Generator
     plan: PlanScores | None
-    _channels: dict[tuple[float, ...], Channels] = field(default_factory=dict)
+    _targets: dict[tuple[float, ...], Target] = field(default_factory=dict)
     _set_back: dict[float, list[Facade]] = field(default_factory=dict)
 
     @classmethod
@@ -83,7 +85,8 @@ class ComponentSearch:
         walls = find_walls(surface_of(maps, stride=2), options.walls, rng=rng)
         facades = [facade_of(wall, maps, options.ground_pixel_m, options.ground_facades) for wall in walls]
         plan = _plan_of(maps_level, airborne, options, rng)
-        return cls(maps_level, metric_from_level, maps, facades, airborne, options, rng, plan)
+        rays = view_rays_of(maps, rng=rng)
+        return cls(maps_level, metric_from_level, maps, facades, rays, airborne, options, rng, plan)
 
     def rescaled(self, factor: float) -> ComponentSearch:
         """The same component, `factor` times as large, with the walls that are found at that size."""
@@ -131,11 +134,10 @@ class ComponentSearch:
             options=options.search,
             progress=progress,
         )
-        rays = view_rays_of(self.maps, rays=24, rng=self.rng)
         possible = []
         for one in found[: options.pool.screened]:
             enu_from_metric = similarity_between(self.searched[one.a], others[one.b], one.matrix)
-            check = check_visibility(rays, enu_from_metric, self.airborne.heights, self._airborne_walls)
+            check = check_visibility(self.rays, enu_from_metric, self.airborne.heights, self._airborne_walls)
             on_ground = options.acceptance.min_height_m <= check.height_m <= options.acceptance.max_height_m
             if on_ground and check.outside <= 0.5 and check.blocked <= options.max_blocked:
                 possible.append(WallHypothesis(enu_from_metric, one.a, one.b, one.score))
@@ -190,13 +192,13 @@ class ComponentSearch:
         large, that leaves an offset of the whole model. Here the model is moved as a whole.
         """
         start = hypothesis.enu_from_level
-        pivot = start.apply(view_rays_of(self.maps, rng=self.rng).ends.reshape(-1, 3)).mean(axis=0)
+        pivot = start.apply(self.rays.ends.reshape(-1, 3)).mean(axis=0)
         best = refine_pose(start, pivot, self._agreement_of_pose, options)
         return self._scored(hypothesis.origin, hypothesis.registration, best, hypothesis.cells)
 
     def shifted(self, hypothesis: RefinedHypothesis) -> RefinedHypothesis:
         """The hypothesis at the best shift within a few metres and at a few azimuths, if all agrees better there."""
-        pivot = hypothesis.enu_from_level.apply(view_rays_of(self.maps, rng=self.rng).ends.reshape(-1, 3)).mean(axis=0)
+        pivot = hypothesis.enu_from_level.apply(self.rays.ends.reshape(-1, 3)).mean(axis=0)
         trials = [hypothesis]
         for degrees in self.options.rotations_deg:
             start = turned(hypothesis.enu_from_level, pivot, np.radians(degrees))
@@ -301,8 +303,7 @@ class ComponentSearch:
         self, origin: WallHypothesis, found: Registration, enu_from_metric: Similarity, cells: int
     ) -> RefinedHypothesis:
         ncc, score, walls_seen = self._agreement(enu_from_metric)
-        rays, walls = view_rays_of(self.maps, rng=self.rng), self._airborne_walls
-        check = check_visibility(rays, enu_from_metric, self.airborne.heights, walls)
+        check = check_visibility(self.rays, enu_from_metric, self.airborne.heights, self._airborne_walls)
         visible, in_plan = (walls_seen, check.height_m, check.blocked), float("nan")
         if self.plan is not None:
             in_plan = self.plan.at(enu_from_metric @ self.metric_from_level)
@@ -311,7 +312,7 @@ class ComponentSearch:
     def _agreement(self, enu_from_metric: Similarity) -> tuple[float, float, int]:
         """Of all photos with all airborne walls that they should see: NCC, score, and the number of these walls."""
         pictures = self._pictures(enu_from_metric)
-        return *agreement_of_channels([(ground, airborne) for _, ground, airborne in pictures]), len(pictures)
+        return *agreement_of_channels([(ground, target.channels) for _, ground, target in pictures]), len(pictures)
 
     def _pictures(self, enu_from_metric: Similarity, outwards: float = 0.0) -> WallPictures:
         """Of all airborne walls that the photos should see, from the ground and from the air; as if the photos were so
@@ -323,9 +324,9 @@ class ComponentSearch:
         sharp = options.search.sharp
         return [(pair.facade, make_channels(pair.ground, sharp), self._of_airborne(pair)) for pair in pairs]
 
-    def _of_airborne(self, pair: FacadePair) -> Channels:
-        """Channels of the airborne side of a pair, which hardly depends on the pose."""
+    def _of_airborne(self, pair: FacadePair) -> Target:
+        """The airborne side of a pair, which hardly depends on the pose, with its channels and their spectra."""
         key = (id(pair.airborne.rgb.base), *pair.offset_px.tolist(), *pair.airborne.mask.shape)
-        if key not in self._channels:
-            self._channels[key] = make_channels(pair.airborne, self.options.search.blurred)
-        return self._channels[key]
+        if key not in self._targets:
+            self._targets[key] = Target(make_channels(pair.airborne, self.options.search.blurred))
+        return self._targets[key]

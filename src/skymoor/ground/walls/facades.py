@@ -11,12 +11,14 @@ import numpy as np
 
 from skymoor.errors import DegenerateGeometry
 from skymoor.geometry import Similarity
-from skymoor.ground.surface import sample_nearest
 from skymoor.ground.wall_planes import Wall
 from skymoor.types import Array, Array32, Camera, DepthMap, Mask, Raster
 
 Hidden = Callable[[Camera, Array], Mask]
 """Which of the points (h, w, 3) a camera does not see, (h, w)."""
+
+OUTSIDE = -1.0
+"""In place of a depth, beyond the border of a photo."""
 
 NO_DEPTH_DOWN_M = 0.5
 """Photos without depth are used this far below a wall at most: there the ground begins."""
@@ -136,8 +138,8 @@ def facade_from(
         return facade
     layers = [_layer(facade, depth_map, options, hidden) for depth_map in photos]
     weights = np.stack([layer.shown for layer in layers])
-    sharpest = np.sort(weights, axis=0)[-options.blend :]
-    weights = np.where(weights >= np.maximum(sharpest[0], sharpest[-1] / 2), weights, 0)
+    largest = _largest(weights, options.blend)
+    weights = np.where(weights >= np.maximum(largest[-1], largest[0] / 2), weights, 0)
     total = weights.sum(axis=0)
     rgb = sum(w[..., None] * layer.rgb for w, layer in zip(weights, layers, strict=True))
     colours = np.clip(rgb / np.maximum(total, 1e-12)[..., None], 0, 255).astype(np.uint8)
@@ -219,38 +221,48 @@ def _within(facade: Facade, margin: float) -> Mask:
     return np.asarray(inside_up[:, None] & inside_along)
 
 
+def _largest(weights: Array32, count: int) -> list[Array32]:
+    """The `count` largest (h, w) of the weights (n, h, w) at each pixel, the largest first; a sort takes ten times as
+    long.
+    """
+    found: list[Array32] = []
+    for weight in weights:
+        for k, larger in enumerate(found):
+            found[k], weight = np.maximum(larger, weight), np.minimum(larger, weight)
+        if len(found) < count:
+            found.append(weight)
+    return found
+
+
 def _layer(facade: Facade, depth_map: DepthMap, options: FacadeOptions, hidden: Hidden | None) -> _Layer:
     """Colours and weights of one photo on the wall."""
     camera, i, wall = depth_map.camera, depth_map.camera.intrinsics, facade.wall
-    # Most of the work of a search. Coordinates in the camera's frame are sums of one term per row and one per column;
-    # single precision is a hundredth of a pixel.
+    # Most of the work of a search: a plane and its picture differ by a homography, which OpenCV samples at once.
     along, up = facade.axes
     rotation, origin = camera.cam_from_world.rotation, camera.cam_from_world.apply(wall.point(0.0, 0.0)[None])[0]
     across = rotation[:, :2] @ wall.right
-    rows = (origin[:, None] + rotation[:, 2:] * up).astype(np.float32)
-    columns = (across[:, None] * along).astype(np.float32)
-    x, y, z = (rows[k][:, None] + columns[k] for k in range(3))
-    near = np.float32(1e-6)
-    inverse = 1 / np.maximum(z, near)
-    u, v = x * inverse * np.float32(i.fx) + np.float32(i.cx), y * inverse * np.float32(i.fy) + np.float32(i.cy)
-    front = (z > near) & (u > 1) & (v > 1) & (u < i.width - 1) & (v < i.height - 1)
+    first = origin + across * along[0] + rotation[:, 2] * up[0]
+    lens = np.array([[i.fx, 0.0, i.cx - 0.5], [0.0, i.fy, i.cy - 0.5], [0.0, 0.0, 1.0]])
+    px_from_facade = lens @ np.column_stack([across * facade.pixel_m, -rotation[:, 2] * facade.pixel_m, first])
+    size = (len(along), len(up))
+    linear, nearest = (cv2.WARP_INVERSE_MAP | flag for flag in (cv2.INTER_LINEAR, cv2.INTER_NEAREST))
+    rgb = cv2.warpPerspective(
+        depth_map.rgb, px_from_facade, size, flags=linear, borderMode=cv2.BORDER_REPLICATE
+    ).astype(np.float32)
+    depth = cv2.warpPerspective(depth_map.depth, px_from_facade, size, flags=nearest, borderValue=OUTSIDE)
+    z = (origin[2] + rotation[2, 2] * up).astype(np.float32)[:, None] + (across[2] * along).astype(np.float32)
     centre = camera.centre
     height = float(centre[:2] @ wall.normal) - wall.offset
     of_row, of_column = (up - centre[2]) ** 2, (along - centre[:2] @ wall.right) ** 2
     squared = of_row.astype(np.float32)[:, None] + (of_column + height**2).astype(np.float32)
     # The cosine to the power of 1.5 times the pixels per length.
     weight = np.float32(abs(height) ** 1.5 * i.fx) / (squared * np.sqrt(np.sqrt(squared)))
-    front &= squared < np.float32((max(height, 0.0) / options.min_cosine) ** 2)
-    weight = np.where(front, weight, 0)
-    u, v = np.where(front, u, np.float32(-1e4)), np.where(front, v, np.float32(-1e4))
-    rgb = cv2.remap(depth_map.rgb, u - np.float32(0.5), v - np.float32(0.5), cv2.INTER_LINEAR).astype(np.float32)
+    weight *= (z > 1e-6) & (depth != OUTSIDE) & (squared < np.float32((max(height, 0.0) / options.min_cosine) ** 2))
     if hidden is not None:
         return _Layer(rgb, np.where(hidden(camera, facade.points), 0, weight).astype(np.float32))
-    depth = sample_nearest(depth_map.depth, u, v)
-    with np.errstate(invalid="ignore"):
-        # Distance of the observed surface behind the plane of the wall, along its normal.
-        behind = (depth * inverse - 1) * np.float32(height)
-        seen = np.where(np.abs(behind) < options.tolerance_m, weight, 0)
+    # Distance of the observed surface behind the plane of the wall, along its normal, times the plane's depth.
+    behind = np.abs(depth - z) * np.float32(abs(height))
+    seen = np.where(behind < np.float32(options.tolerance_m) * z, weight, 0)
     within = _within(facade, options.no_depth_margin_m)
     shown = np.where(within & np.isnan(depth), np.float32(options.no_depth_weight) * weight, seen)
     return _Layer(rgb, shown.astype(np.float32))

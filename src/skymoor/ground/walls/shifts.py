@@ -17,9 +17,10 @@ from scipy import fft
 from skymoor.ground.walls.consensus import agreement_in_both
 from skymoor.ground.walls.facades import Facade
 from skymoor.match.channels import N_COLOUR, Channels
+from skymoor.match.correlate import Target
 from skymoor.types import Array
 
-WallPictures = Sequence[tuple[Facade, Channels, Channels]]
+WallPictures = Sequence[tuple[Facade, Channels, Target]]
 """Walls with the channels of their pictures from the ground and from the air, on one grid."""
 
 
@@ -91,31 +92,26 @@ def agreement_of_shifts(
     return np.asarray(ncc * np.sqrt(np.maximum(pixels, 0.0)))
 
 
-def _sums_of_shifts(ground: Channels, airborne: Channels, reach: tuple[int, int]) -> Array:
+def _sums_of_shifts(ground: Channels, airborne: Target, reach: tuple[int, int]) -> Array:
     """Product, both energies and number of shared pixels (4, 2 rows + 1, 2 columns + 1) of the ground's picture shifted
     down and right by up to `reach` rows and columns.
     """
     size = [n + r for n, r in zip(ground.known.shape[1:], reach, strict=True)]
     padded = fft.next_fast_len(size[0], real=True), fft.next_fast_len(size[1], real=True)
-    own, other = (_spectra(one, padded) for one in (ground, airborne))
+    values, known = ground.values[:N_COLOUR], ground.known[:1]
+    own = np.conj(fft.rfft2(np.concatenate([values, (values**2).sum(axis=0)[None], known]), s=padded))
+    other = airborne.spectra(padded)
     products = np.stack(
         [
-            (np.conj(own[:N_COLOUR]) * other[:N_COLOUR]).sum(axis=0),
-            np.conj(own[-2]) * other[-1],
-            np.conj(own[-1]) * other[-2],
-            np.conj(own[-1]) * other[-1],
+            (own[:N_COLOUR] * other[:N_COLOUR]).sum(axis=0),
+            own[-2] * other[-1],
+            own[-1] * other[-2],
+            own[-1] * other[-1],
         ]
     )
     maps = fft.irfft2(products, s=padded)
     rows, columns = (np.arange(-r, r + 1) % n for r, n in zip(reach, padded, strict=True))
     return np.asarray(maps[:, rows][:, :, columns])
-
-
-def _spectra(channels: Channels, padded: tuple[int, int]) -> Array:
-    """Of the known colour channels, of their energy and of the mask."""
-    known = channels.known[:1]
-    values = channels.values[:N_COLOUR] * known
-    return np.asarray(fft.rfft2(np.concatenate([values, (values**2).sum(axis=0)[None], known]), s=padded))
 
 
 def _steps(reach: float, step: float) -> Array:

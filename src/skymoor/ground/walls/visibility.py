@@ -123,14 +123,22 @@ def check_visibility(
     above = centres[:, 2] - heights.ground_at(centres[:, :2])
     outside = float(np.isnan(above).mean()) if len(above) else 1.0
     height = float(np.nanmedian(above)) if outside < 1 else float("nan")
-    starts, ends = np.broadcast_to(centres[:, None], rays.ends.shape), enu_from_level.apply(rays.ends)
-    crossed = np.zeros(starts.shape[:2], bool)
-    for wall in walls:
-        before, behind = (p[..., :2] @ wall.normal - wall.offset for p in (starts, ends))
-        through = (before * behind < 0) & (np.minimum(np.abs(before), np.abs(behind)) > margin_m)
-        share = before / np.where(through, before - behind, 1.0)
-        point = starts + share[..., None] * (ends - starts)
-        s, z = point[..., :2] @ wall.right, point[..., 2]
-        within = (s > wall.s0 + margin_m) & (s < wall.s1 - margin_m) & (z < wall.z1 - margin_m)
-        crossed |= through & within & (z > wall.z0 - FOOT_M)
-    return VisibilityCheck(height, float(crossed.mean()) if crossed.size else 0.0, outside)
+    blocked = _crossed(centres[:, None], enu_from_level.apply(rays.ends), walls, margin_m)
+    return VisibilityCheck(height, float(blocked.mean()) if blocked.size else 0.0, outside)
+
+
+def _crossed(starts: Array, ends: Array, walls: Sequence[Wall], margin_m: float) -> Mask:
+    """Which of the rays (n, rays), from (n, 1, 3) to (n, rays, 3), cross a wall."""
+    if not walls:
+        return np.zeros(ends.shape[:2], bool)
+    normals, along = (np.array([getattr(wall, name) for wall in walls]) for name in ("normal", "right"))
+    sizes = np.array([[wall.offset, wall.s0 + margin_m, wall.s1 - margin_m, wall.z0, wall.z1] for wall in walls])
+    offset, left, right, low, high = sizes.T
+    before, behind = (p[..., :2] @ normals.T - offset for p in (starts, ends))  # (n, 1 or rays, walls)
+    through = (before * behind < 0) & (np.minimum(np.abs(before), np.abs(behind)) > margin_m)
+    share = before / np.where(through, before - behind, 1.0)
+    s, t = (p[..., :2] @ along.T for p in (starts, ends))
+    s = s + share * (t - s)
+    z = starts[..., 2:] + share * (ends - starts)[..., 2:]
+    within = (s > left) & (s < right) & (z < high - margin_m) & (z > low - FOOT_M)
+    return np.asarray((through & within).any(axis=2))
