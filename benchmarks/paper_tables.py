@@ -182,11 +182,12 @@ def print_table(headings: tuple[str, ...], rows: list[list[Any]]) -> None:
         print("| " + " | ".join(map(str, row + [""] * (len(headings) - len(row)))) + " |")
 
 
-def provenance(width: int) -> dict[str, Any]:
-    """Where and when, and with which code."""
+def provenance(photo_width: int | None = None) -> dict[str, Any]:
+    """Where and when, with which code, and how wide the photos were."""
     commit = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True).stdout.strip()
     machine = f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}"
-    return {"machine": machine, "date": date.today().isoformat(), "commit": commit, "photo_width": width}
+    made = {"machine": machine, "date": date.today().isoformat(), "commit": commit}
+    return made if photo_width is None else {**made, "photo_width": photo_width}
 
 
 if __name__ == "__main__":

@@ -350,7 +350,7 @@ def write(rows: list[dict[str, Any]], results: Path) -> None:
         ("km2", "method", "found within 3 m", "median m of those", "claimed", "mirrored claimed", "CPU s"), table
     )
     results.parent.mkdir(parents=True, exist_ok=True)
-    results.write_text(json.dumps({**provenance(0), "rows": rows}, indent=1) + "\n")
+    results.write_text(json.dumps({**provenance(), "rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ Each of its decoys, which match nowhere, is then registered in the same way, wit
 case, harder than another site would be, as it looks like the window itself.
 Every sixth window is also searched where nothing is right: in its own reference mirrored, in that of another site, and
 in its own with heights of elsewhere. Results are the shares that are accepted at the product's limits, and the same for
-limits on the false-alarm probability alone (the ROC).
+limits on the false-alarm probability alone (the ROC). A results file that exists is continued.
 """
 
 from __future__ import annotations
@@ -22,11 +22,13 @@ import json
 import time
 import zlib
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from paper_tables import provenance
 
 from skymoor.geometry import Similarity, umeyama
 from skymoor.match import DecoyOptions, SearchOptions
@@ -90,7 +92,8 @@ def model_of(run: Path, site: Path) -> Model:
     # Every second pixel: what is searched and matched here is coarser anyway.
     rgb, xyz, confidence = (arrays[name][::2, ::2] for name in ("rgb", "xyz", "confidence"))
     view = View(np.diag([1.0, -1.0, -1.0]), x0 - pixel / 2, y0 - pixel / 2, 2 * pixel, confidence.shape)
-    return Model(run.name, Render(view, rgb, xyz, confidence), placed, reference)
+    name = run.parent.name if run.name == "result" else run.name
+    return Model(name, Render(view, rgb, xyz, confidence), placed, reference)
 
 
 def window(model: Model, rng: np.random.Generator) -> Render | None:
@@ -119,7 +122,7 @@ def registered_in(
     px = render.view.pixel * metres / reference.grid.pixel_m
     scales = {"min_scale": px / SCALE_RANGE, "max_scale": px * SCALE_RANGE}
     sized = ReferencePyramid(target)
-    renders = [render, *(as_render(decoy, render.view) for decoy in make_decoys(picture, DECOYS, rng))]
+    renders = [render, *(as_render(decoy, render.view) for decoy in make_decoys(picture, DECOYS))]
     places = [search_in(sized, as_raster(one), **scales, options=SEARCH, progress=no_progress) for one in renders]
     if not places[0]:
         return Registration(registered=False, reason="too small", enu_from_level=None), []
@@ -187,6 +190,20 @@ def wrong_references(model: Model, others: list[Reference], rng: np.random.Gener
     return [("mirrored", mirror), ("another", other), ("heights of another", replace(own, height=heights))]
 
 
+def cases_of(
+    model: Model, number: int, render: Render, others: list[Reference], rng: np.random.Generator
+) -> list[dict[str, object]]:
+    """Rows of a window: in its own reference, its decoys there, and for every sixth where nothing is right."""
+    cases = [("own", model.reference), *(wrong_references(model, others, rng) if number % 6 == 0 else [])]
+    rows = []
+    for kind, reference in cases:
+        found, decoys = registered_in(render, reference, model.enu_from_level.scale, rng)
+        rows.append(row_of(model, number, kind, found, None if kind == "another" else render))
+        # Elsewhere the picture's own decoys say nothing new.
+        rows += [row_of(model, number, "decoy", one, None) for one in decoys if kind == "own"]
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", nargs="+")
@@ -200,24 +217,21 @@ def main() -> None:
     if arguments.elsewhere:
         ortho, dsm = (Path(part) for part in arguments.elsewhere.split("="))
         elsewhere = [read_reference(ortho, dsm, "ellipsoid", np.eye(3), pixel_m=0.6)]
-    rows = []
-    for model in models:
-        others = [m.reference for m in models if m is not model] + elsewhere
-        for k in range(arguments.windows):
-            rng = np.random.default_rng([arguments.seed, zlib.crc32(model.name.encode()), k])
-            render = window(model, rng)
-            if render is None:
-                continue
-            metres, start = model.enu_from_level.scale, time.perf_counter()
-            cases = [("own", model.reference), *(wrong_references(model, others, rng) if k % 6 == 0 else [])]
-            for kind, reference in cases:
-                found, decoys = registered_in(render, reference, metres, rng)
-                rows.append(row_of(model, k, kind, found, None if kind == "another" else render))
-                # Elsewhere the picture's own decoys say nothing new.
-                rows += [row_of(model, k, "decoy", one, None) for one in decoys if kind == "own"]
-            print(f"{model.name} {k}: {time.perf_counter() - start:.0f} s", flush=True)
-            if arguments.results:
-                arguments.results.write_text(json.dumps({"summary": told(rows), "rows": rows}, indent=1) + "\n")
+    kept = arguments.results and arguments.results.exists()
+    rows = json.loads(arguments.results.read_text())["rows"] if kept else []
+    done = {(row["model"], row["window"]) for row in rows}
+    # Windows of all models in turn, so that an unfinished file is of all of them.
+    for k, model in product(range(arguments.windows), models):
+        rng = np.random.default_rng([arguments.seed, zlib.crc32(model.name.encode()), k])
+        render = None if (model.name, k) in done else window(model, rng)
+        if render is None:
+            continue
+        start, others = time.process_time(), [m.reference for m in models if m is not model] + elsewhere
+        rows += cases_of(model, k, render, others, rng)
+        print(f"{model.name} {k}: {time.process_time() - start:.0f} CPU s", flush=True)
+        if arguments.results:
+            text = json.dumps({**provenance(), "summary": told(rows), "rows": rows}, indent=1) + "\n"
+            arguments.results.write_text(text)
     print(json.dumps(told(rows), indent=1))
 
 

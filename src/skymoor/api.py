@@ -242,7 +242,7 @@ def match_rasters(
     if not hypotheses:
         raise TooFewMatches("the raster that is searched is too small to hold the other at any scale")
     best = hypotheses[0]
-    null = decoy_scores(a, b, **common, rng=np.random.default_rng(seed))
+    null = decoy_scores(a, b, **common)
     b_from_a, rng = best.matrix(a.mask.shape), np.random.default_rng(seed)
     matches, _ = match_hypothesis(a, b, b_from_a, matcher or StructuralMatcher(), cyclic, rng=rng)
     azimuth_deg = float(np.degrees(best.azimuth_rad) % 360)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Null distribution of the search score, from decoys of the render in the same reference.
 
-A decoy is a mirrored or block-shuffled copy of the render: it keeps edges, textures and heights, but matches nowhere.
-Decoys are searched like the render, over the same rotations, scales and positions.
+A decoy is a mirrored copy of the render, as it is or stretched along some direction: it keeps edges, textures and
+heights as a whole, but matches nowhere. Decoys are searched like the render, over the same rotations, scales and
+positions.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from skymoor.engines.options import FIXED
 from skymoor.match.features import Features
@@ -21,7 +24,6 @@ from skymoor.match.search import ReferencePyramid, SearchOptions, search_in
 from skymoor.types import Progress, Raster, no_progress
 
 MIN_DECOYS = 2
-SEAM_PX = 2  # masked border around each shuffled block
 
 
 @dataclass(frozen=True)
@@ -29,13 +31,14 @@ class DecoyOptions:
     """Number and making of decoys.
 
     Attributes:
-        count: largest number of decoys: the mirrored image, then shuffled ones, every second of them also mirrored.
-        parts: blocks along each side of a shuffled image.
+        count: largest number of decoys: the mirrored image, then the same stretched along directions in turn.
+        stretch: by which it is longer along the direction, and shorter across it: enough for another layout, and not
+            for other edges and textures.
         keep: hypotheses refined per decoy.
     """
 
     count: int = 4
-    parts: int = field(default=4, metadata=FIXED)
+    stretch: float = field(default=1.15, metadata=FIXED)
     keep: int = field(default=4, metadata=FIXED)
 
 
@@ -47,7 +50,6 @@ def search_decoys(
     max_scale: float,
     options: SearchOptions | None = None,
     decoys: DecoyOptions | None = None,
-    rng: np.random.Generator,
     azimuths: tuple[float, float] = ALL_AZIMUTHS,
     features: Features | None = None,
     by_features: bool | None = None,
@@ -56,15 +58,14 @@ def search_decoys(
 ) -> list[tuple[Raster, ImageHypothesis]]:
     """Decoys of `a` with their best hypotheses in `b`: null samples for those of `search_hypotheses`.
 
-    Arguments are those of `search_hypotheses`; `by_features` says how that found what they are compared with; `rng`
-    shuffles the blocks. From the second decoy on, the loop stops
-    early once `enough(scores)` is true: each decoy costs as much as the search.
+    Arguments are those of `search_hypotheses`; `by_features` says how that found what they are compared with. From the
+    second decoy on, the loop stops early once `enough(scores)` is true: each decoy costs as much as the search.
     """
     decoys = decoys or DecoyOptions()
     options = replace(options or SearchOptions(), keep=decoys.keep)
     reference = ReferencePyramid(b, features)
     best: list[tuple[Raster, ImageHypothesis]] = []
-    for decoy in make_decoys(a, decoys, rng):
+    for decoy in make_decoys(a, decoys):
         found = search_in(
             reference,
             decoy,
@@ -88,11 +89,13 @@ def decoy_scores(a: Raster, b: Raster, **arguments: Any) -> list[float]:
     return [hypothesis.score for _, hypothesis in search_decoys(a, b, **arguments)]
 
 
-def make_decoys(a: Raster, options: DecoyOptions, rng: np.random.Generator) -> Iterator[Raster]:
+def make_decoys(a: Raster, options: DecoyOptions) -> Iterator[Raster]:
     """Up to `options.count` decoys of `a`, with masks and heights."""
-    for k in range(options.count):
-        decoy = mirrored(a) if k % 2 == 0 else a
-        yield mixed(decoy, options.parts, rng) if k else decoy
+    flipped = mirrored(a)
+    stretches = max(options.count - 1, 0)
+    yield from [flipped][: options.count]
+    for k in range(stretches):
+        yield stretched(flipped, options.stretch, np.pi * k / stretches)
 
 
 def mirrored(a: Raster) -> Raster:
@@ -101,25 +104,24 @@ def mirrored(a: Raster) -> Raster:
     return Raster(np.ascontiguousarray(a.rgb[:, ::-1]), np.ascontiguousarray(a.mask[:, ::-1]), height)
 
 
-def mixed(a: Raster, parts: int, rng: np.random.Generator) -> Raster:
-    """`a` cut into `parts` x `parts` blocks, none of which keeps its position; leftover rows and columns are masked."""
-    rows, columns = (side // parts for side in a.mask.shape)
-    order = rng.permutation(parts**2)
-    while parts > 1 and (order == np.arange(parts**2)).any():
-        order = rng.permutation(parts**2)
-    rgb, mask = np.zeros_like(a.rgb), np.zeros_like(a.mask)
-    height = None if a.height is None else np.full_like(a.height, np.nan)
-    for target, source in enumerate(order):
-        (top, left), (source_top, source_left) = divmod(target, parts), divmod(int(source), parts)
-        destination = np.s_[top * rows : (top + 1) * rows, left * columns : (left + 1) * columns]
-        block = np.s_[source_top * rows : (source_top + 1) * rows, source_left * columns : (source_left + 1) * columns]
-        inner = np.s_[
-            top * rows + SEAM_PX : (top + 1) * rows - SEAM_PX, left * columns + SEAM_PX : (left + 1) * columns - SEAM_PX
-        ]
-        rgb[destination] = a.rgb[block]
-        mask[inner] = a.mask[block][SEAM_PX : rows - SEAM_PX, SEAM_PX : columns - SEAM_PX]
-        if height is not None and a.height is not None:
-            height[destination] = a.height[block]
-    if height is not None:
-        height[~mask] = np.nan
-    return Raster(rgb, mask, height)
+def stretched(a: Raster, factor: float, direction_rad: float) -> Raster:
+    """`a` longer by `factor` along a direction, from columns towards rows, and shorter by it across: of equal area."""
+    c, s = np.cos(direction_rad), np.sin(direction_rad)
+    along = np.array([[c, -s], [s, c]])
+    linear = along @ np.diag([factor, 1 / factor]) @ along.T
+    rows, columns = a.mask.shape
+    corners = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]]) @ linear.T
+    size = np.ceil(np.ptp(corners, axis=0)).astype(int)
+    # Half a pixel: OpenCV's coordinates are of the middles of pixels.
+    matrix = np.column_stack([linear, linear @ [0.5, 0.5] - 0.5 - corners.min(axis=0)])
+
+    def warped(layer: NDArray[Any], flags: int, border: int, beyond: float = 0.0) -> NDArray[Any]:
+        return np.asarray(
+            cv2.warpAffine(layer, matrix, size.tolist(), flags=flags, borderMode=border, borderValue=beyond)
+        )
+
+    mask = warped(a.mask.astype(np.uint8), cv2.INTER_NEAREST, cv2.BORDER_CONSTANT) > 0
+    rgb = warped(a.rgb, cv2.INTER_LINEAR, cv2.BORDER_REPLICATE)
+    if a.height is None:
+        return Raster(rgb, mask)
+    return Raster(rgb, mask, warped(a.height, cv2.INTER_NEAREST, cv2.BORDER_CONSTANT, float("nan")))

@@ -48,7 +48,7 @@ def null_samples(
         matcher, cyclic: of the dense matches.
         inlier_m, cell_m: largest residual of an inlier, and side of an independent cell.
         decisive: false-alarm probability below which no further decoy is searched: each costs as much as the search.
-        seed: mixes the decoys' parts.
+        seed: of the matches' consensus.
     """
     low, high = extent.scales(render, reference)
     map_image, rng = reference_raster(reference), np.random.default_rng(seed)
@@ -59,7 +59,6 @@ def null_samples(
         max_scale=high,
         options=options,
         decoys=decoys,
-        rng=rng,
         azimuths=extent.azimuths,
         features=features,
         by_features=best.by_features,

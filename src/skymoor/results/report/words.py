@@ -21,7 +21,7 @@ GLOSSARY = {
     "refused": "No position was accepted, and none is written; the status is NOT_REGISTERED.",
     "hypothesis": "A position, azimuth and scale that was considered for a component.",
     "match score": "Agreement of the model seen from above with the reference, in standard deviations of noise.",
-    "decoy": "A mirrored or shuffled render, which matches nowhere: its best score shows what coincidence reaches.",
+    "decoy": "A mirrored, stretched render, which matches nowhere: its best score shows what coincidence reaches.",
     "false-alarm probability": "How likely one more decoy would score as high as the hypothesis.",
     "control": "Surveyed points, camera positions and lengths, which models are compared with or moved onto.",
     "tie point": "A point of the ground or a building that two or more photos show; tie points join the photos.",
