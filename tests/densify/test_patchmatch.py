@@ -170,7 +170,7 @@ class TestEngine:
     def test_depth_maps(self, component: Component, photos: Photos, made: Path, tmp_path: Path) -> None:
         steps: list[tuple[int, int]] = []
         engine = PatchMatchDepth(stand_in(tmp_path / "colmap", made), max_px=400, partners=4, noise_px=0.0)
-        maps = engine(component, photos, progress=lambda done, of, _="": steps.append((done, of)))
+        maps = list(engine(component, photos, progress=lambda done, of, _="": steps.append((done, of))))
         assert [one.camera.image for one in maps] == [camera.image for camera in component.cameras]
         assert steps[-1] == (12, 12)
         for one in maps:
@@ -182,15 +182,15 @@ class TestEngine:
         engine = PatchMatchDepth(stand_in(tmp_path / "colmap", made), max_px=400)
         write_map(made / "000003.ppm.geometric.bin", np.ones((3, 4), np.float32))
         with pytest.raises(InputError, match=r"000003\.ppm\.geometric\.bin: 4 x 3 depths for 400 x 300 pixels"):
-            engine(component, photos)
+            list(engine(component, photos))
         (made / "000003.ppm.geometric.bin").unlink()
         with pytest.raises(InputError, match=r"000003.*there is no such depth map"):
-            engine(component, photos)
+            list(engine(component, photos))
 
     def test_it_fails(self, component: Component, photos: Photos, tmp_path: Path) -> None:
         engine = PatchMatchDepth(stand_in(tmp_path / "colmap", tmp_path, fails=True), max_px=400)
         with pytest.raises(BackendUnavailable, match=r"failed with status 3 \(out of memory\)"):
-            engine(component, photos)
+            list(engine(component, photos))
 
     def test_builds_without_a_gpu(
         self, component: Component, photos: Photos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -198,13 +198,13 @@ class TestEngine:
         for build in ("without CUDA", "without GPU support"):
             engine = PatchMatchDepth(stand_in(tmp_path / "colmap", tmp_path, build))
             with pytest.raises(BackendUnavailable, match="a build of COLMAP that cannot use a GPU"):
-                engine(component, photos)
+                list(engine(component, photos))
         with pytest.raises(InputError, match="nowhere/colmap: there is no such program"):
-            PatchMatchDepth(str(tmp_path / "nowhere/colmap"))(component, photos)
+            list(PatchMatchDepth(str(tmp_path / "nowhere/colmap"))(component, photos))
         monkeypatch.setenv("PATH", str(tmp_path / "empty"))
         monkeypatch.setattr(pycolmap, "has_cuda", False)
         with pytest.raises(BackendUnavailable, match="install COLMAP with CUDA, or use sgm"):
-            PatchMatchDepth()(component, photos)
+            list(PatchMatchDepth()(component, photos))
 
     def test_pycolmap_where_it_can(
         self, component: Component, photos: Photos, made: Path, monkeypatch: pytest.MonkeyPatch
@@ -216,7 +216,7 @@ class TestEngine:
 
         monkeypatch.setattr(pycolmap, "has_cuda", True)
         monkeypatch.setattr(pycolmap, "patch_match_stereo", run)
-        maps = PatchMatchDepth(max_px=400, partners=4, noise_px=0.0)(component, photos)
+        maps = list(PatchMatchDepth(max_px=400, partners=4, noise_px=0.0)(component, photos))
         assert len(maps) == 12
         assert_right(maps[4])
 

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @pytest.fixture(scope="module")
 def maps(flight: Flight) -> list[DepthMap]:
-    return SgmDepth()(true_component(flight), flight.photos)
+    return list(SgmDepth()(true_component(flight), flight.photos))
 
 
 @pytest.fixture(scope="module")
@@ -186,7 +186,7 @@ def test_photos_without_partners_give_no_map(flight: Flight) -> None:
     lonely = replace(component, cameras=component.cameras[:2], obs_camera=component.obs_camera[:1] * 0)
     lonely = replace(lonely, obs_point=component.obs_point[:1], obs_px=component.obs_px[:1])
     photos = Photos(flight.photos.names[:2], flight.photos.sizes[:2], flight.photos.read)
-    assert SgmDepth()(lonely, photos) == []
+    assert list(SgmDepth()(lonely, photos)) == []
 
 
 def test_a_camera_that_looks_along_the_way_has_depth_beside_it() -> None:

@@ -11,10 +11,10 @@ import pytest
 import torch
 
 import skymoor.match._anyloc
+from skymoor.engines.vlad import unit, vlad, vocabulary
 from skymoor.errors import BackendUnavailable, InputError, TooFewMatches
 from skymoor.match import AnyLocRetriever
 from skymoor.match.retrieve import UNLIKE
-from skymoor.match.vlad import unit, vlad, vocabulary
 from skymoor.types import Array32, Raster
 from support import hub
 from support.pictures import noise_picture

@@ -82,7 +82,7 @@ def exact(flight: Flight, exact_model: MeshModel) -> Rendered:
 @pytest.fixture(scope="module")
 def measured(flight: Flight) -> Rendered:
     """From stereo."""
-    return rendered(flight, built(flight, SgmDepth()(true_component(flight), flight.photos)))
+    return rendered(flight, built(flight, list(SgmDepth()(true_component(flight), flight.photos))))
 
 
 def test_pixel_is_a_photos_pixel_on_the_ground(exact_model: MeshModel) -> None:

@@ -22,7 +22,7 @@ from skymoor.engines.aliked import AlikedFeatures
 from skymoor.engines.libraries import require
 from skymoor.errors import BackendUnavailable, InputError
 from skymoor.reconstruct import AlikedPairMatcher, ColmapAlikedMatcher, ViewGraph
-from skymoor.reconstruct.database import enter_photos, extract, match, write_photos
+from skymoor.reconstruct.database import enter_photos, extract, match
 from skymoor.reconstruct.graph import view_graph
 from skymoor.reconstruct.protocol import colmap_name
 from skymoor.types import Image, Photos, no_progress
@@ -196,11 +196,12 @@ class TestColmap:
         found = {}
         for grey in (True, False):
             folder = tmp_path / str(grey)
-            write_photos(photos, folder, grey=grey)
+            folder.mkdir()
             enter_photos(photos, folder / "d.db", shared_camera=True)
             options = pycolmap.FeatureExtractionOptions(use_gpu=False, num_threads=1)
             options.sift.max_num_features = 500
-            extract(photos, folder / "d.db", folder, options, shared_camera=True, report=lambda _: None)
+            extract(photos, folder / "d.db", folder, options, grey=grey, shared_camera=True, report=lambda _: None)
+            assert not [path for path in folder.rglob("*") if path.suffix == ".pgm"]
             matching = pycolmap.FeatureMatchingOptions(use_gpu=False, num_threads=1)
             pairs = [(0, 1)]
             match(

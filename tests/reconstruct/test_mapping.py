@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skymoor.geometry import Intrinsics, Similarity, umeyama
 from skymoor.reconstruct import ReconstructOptions, SiftMatcher, ViewGraph, ground_options, reconstruct
-from skymoor.reconstruct.mapping import _distinct
+from skymoor.reconstruct.mapping import _distinct, _mapping_options
 from skymoor.simulate.light.photo import Sensor, take_photo
 from skymoor.types import Camera, Component, Image, Photos
 from support.flight import STANDOFF_M, Flight
@@ -152,6 +152,12 @@ def test_models_whose_photos_are_all_in_larger_ones_are_dropped() -> None:
     # {4, 5, 6} lies in no other alone, but all of its photos are known already.
     assert [m.reg_image_ids() for m in kept] == [[1, 2, 3, 4, 5], [5, 6, 7, 8], [7, 8, 9]]
     assert _distinct([]) == []
+
+
+def test_large_sets_are_adjusted_less_often() -> None:
+    few, many = (_mapping_options(ReconstructOptions(), count, seed=0) for count in (100, 101))
+    assert few.ba_global_frames_ratio == few.ba_global_points_ratio == 1.1
+    assert many.ba_global_frames_ratio == many.ba_global_points_ratio == 1.3
 
 
 def test_photos_of_two_sizes_are_two_cameras(flight: Flight) -> None:

@@ -2,9 +2,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from skymoor.reconstruct.pairs import exhaustive_pairs, pairs_from_votes, preemptive_pairs
+from skymoor.reconstruct import pairs
+from skymoor.reconstruct.pairs import exhaustive_pairs, pairs_from_votes, preemptive_pairs, proposed_pairs
 
 Array32 = NDArray[np.float32]
 
@@ -59,3 +61,39 @@ def test_photos_without_features_are_left_out_and_progress_ends() -> None:
         photos, neighbours=3, min_mutual=30, progress=lambda done, of: steps.append((done, of))
     ) == [(0, 1)]
     assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
+
+
+class TestIndex:
+    """Large sets: an index proposes what is compared."""
+
+    def test_the_pairs_of_a_strip_are_those_of_all_comparisons(self) -> None:
+        photos = strip(70, step=40, window=100)
+        exact = preemptive_pairs(photos, neighbours=4, min_mutual=12, all_below=len(photos))
+        assert preemptive_pairs(photos, neighbours=4, min_mutual=12, all_below=len(photos) - 1) == exact
+        assert len(exact) == 69 + 68
+
+    def test_a_few_are_proposed_for_each(self) -> None:
+        photos = strip(60, step=40, window=100)
+        proposed = proposed_pairs(photos, 6)
+        assert (proposed == proposed.T).all() and not proposed.diagonal().any()
+        assert proposed.sum(axis=1).min() >= 6 and proposed.sum(axis=1).mean() < 9
+        assert all(proposed[k, k + 1] for k in range(59))
+        np.testing.assert_array_equal(proposed, proposed_pairs(photos, 6))
+
+    def test_what_the_index_misses_is_found_over_a_common_partner(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        photos = strip(12, step=20, window=100)
+        chain = np.eye(12, k=1, dtype=bool) | np.eye(12, k=-1, dtype=bool)
+        monkeypatch.setattr(pairs, "proposed_pairs", lambda *_: chain)
+        steps: list[tuple[int, int]] = []
+        found = preemptive_pairs(
+            photos, neighbours=11, min_mutual=12, all_below=3, progress=lambda done, of: steps.append((done, of))
+        )
+        assert {(k, k + 2) for k in range(10)} <= set(found)
+        assert steps == [(k, 24) for k in range(1, 25)]
+
+    def test_photos_without_features(self) -> None:
+        none = np.zeros((0, 128), np.float32)
+        assert preemptive_pairs([none] * 5, neighbours=3, all_below=3) == []
+        photos = [none, *strip(4, step=30, window=100)]
+        found = preemptive_pairs(photos, neighbours=2, min_mutual=50, all_below=3)
+        assert found == [(1, 2), (2, 3), (3, 4)]

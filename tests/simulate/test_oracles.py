@@ -164,7 +164,7 @@ def test_depth_estimators_find_the_surface(
     engine: str, low: float, high: float, flown: World, photos: Photos, component: Component
 ) -> None:
     estimator: DepthEstimator = OracleDepth(flown, max_px=WIDTH) if engine == "oracle" else SgmDepth(max_px=WIDTH)
-    maps = estimator(component, photos, progress=no_progress)
+    maps = list(estimator(component, photos, progress=no_progress))
     error = depth_errors(maps, component, flown)
     assert low <= np.nanmedian(np.abs(error)) < high
     assert np.isfinite(error).mean() > (0.3 if engine == "sgm" else 0.9)
@@ -175,7 +175,7 @@ def test_depth_estimators_find_the_surface(
 
 def test_errors_of_depths_are_those_asked_for(flown: World, photos: Photos, component: Component) -> None:
     oracle = OracleDepth(flown, max_px=160, noise_ratio=0.01, outlier_share=0.1, missing_share=0.2)
-    error = depth_errors(oracle(component, photos), component, flown)
+    error = depth_errors(list(oracle(component, photos)), component, flown)
     assert np.isnan(error).mean() == pytest.approx(0.2, abs=0.05)
     error = error[np.isfinite(error)]
     assert np.mean(np.abs(error) > 0.05) == pytest.approx(0.09, abs=0.015)

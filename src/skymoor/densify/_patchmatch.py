@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -58,7 +58,7 @@ class PatchMatchDepth:
         self._engine()
         return ()
 
-    def __call__(self, component: Component, photos: Photos, *, progress: Progress = no_progress) -> list[DepthMap]:
+    def __call__(self, component: Component, photos: Photos, *, progress: Progress = no_progress) -> Iterator[DepthMap]:
         """Depth maps of all cameras that have partners; see `DepthEstimator`.
 
         Raises:
@@ -75,9 +75,11 @@ class PatchMatchDepth:
             write_workspace(folder, component, views, partners)
             engine(folder, lambda done: progress(min(done, len(views)), len(views) + 1))
             depths = {k: _depth(folder, k, view) for k, view in enumerate(views) if partners[k]}
-        maps = [self._confirmed(k, views, depths, partners[k]) for k in depths]
+        for k in depths:
+            depth_map = self._confirmed(k, views, depths, partners[k])
+            if np.isfinite(depth_map.depth).any():
+                yield depth_map
         progress(len(views), len(views))
-        return [depth_map for depth_map in maps if np.isfinite(depth_map.depth).any()]
 
     def _view(self, camera: Camera, photos: Photos) -> View:
         return undistorted(*reduced(camera, photos.read(camera.image), self.max_px))

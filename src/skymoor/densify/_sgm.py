@@ -8,7 +8,7 @@ lens distortion is removed in the same resampling.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -51,7 +51,7 @@ class SgmDepth:
     min_views: int = field(default=2, metadata=FIXED)
     noise_grey: float = field(default=3.0, metadata=FIXED)
 
-    def __call__(self, component: Component, photos: Photos, *, progress: Progress = no_progress) -> list[DepthMap]:
+    def __call__(self, component: Component, photos: Photos, *, progress: Progress = no_progress) -> Iterator[DepthMap]:
         """Depth maps of all cameras that have partners; see `DepthEstimator`."""
         partners = stereo_partners(
             component, count=self.partners, best_angle_deg=self.best_angle_deg, max_angle_deg=self.max_angle_deg
@@ -64,14 +64,12 @@ class SgmDepth:
         def depth_map_of(index: int) -> DepthMap | None:
             return self._depth_map(component, index, partners[index], view) if partners[index] else None
 
-        maps: list[DepthMap] = []
         # OpenCV's threads do not scale on one pair; whole photos in parallel do.
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             for done, depth_map in enumerate(pool.map(depth_map_of, range(len(component.cameras)))):
                 if depth_map is not None and np.isfinite(depth_map.depth).any():
-                    maps.append(depth_map)
+                    yield depth_map
                 progress(done + 1, len(component.cameras))
-        return maps
 
     def _depth_map(self, component: Component, index: int, partners: list[int], view: Views) -> DepthMap:
         camera, image = view(index)

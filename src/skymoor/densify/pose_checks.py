@@ -7,14 +7,14 @@ photos' depth maps, rendered from the estimated pose, must resemble the photo.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from skymoor.densify.views import empty_depth_map
-from skymoor.types import Array, Array32, Camera, DepthMap, Image, Mask, Photos
+from skymoor.types import Array, Array32, Camera, DepthMap, Mask, Photos
 
 BLUR_PX, NEAR_RATIO = 1.0, 1.03  # blur of the images; ratio of depths below which they are one surface
 
@@ -53,25 +53,42 @@ class PoseCheck:
     contradicts: bool
 
 
-def check_poses(maps: Sequence[DepthMap], options: AgreementOptions | None = None) -> list[PoseCheck]:
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What is compared of one depth map: its camera and its grey photo (h, w), reduced, and some of its points."""
+
+    camera: Camera
+    photo: Array32
+    points: Array32
+    grey: Array32
+
+
+def check_poses(
+    maps: Iterable[DepthMap], options: AgreementOptions | None = None, *, count: int | None = None
+) -> list[PoseCheck]:
     """Compare each photo with a rendering of the others' depth maps from its camera.
 
     Args:
-        maps: depth maps of all cameras of a component in one frame; `empty_depth_map` for those without depth.
+        maps: depth maps of all cameras of a component in one frame; `empty_depth_map` for those without depth. They are
+            looked at once, one after the other.
         options: see there.
+        count: how many maps there are, where they have no length.
 
     Returns:
         one check per map, in their order.
     """
     options = options or AgreementOptions()
+    if count is None:
+        maps = list(maps)
+        count = len(maps)
     # In large sets each surface is in many photos.
-    step_px = options.step_px * max(1.0, np.sqrt(len(maps) / options.dense_maps))
-    clouds = [depth_map.points(step=round(step_px)) for depth_map in maps]
-    checks = _checked(maps, clouds, [True] * len(maps), options)
+    step_px = options.step_px * max(1.0, np.sqrt(count / options.dense_maps))
+    seen = [_seen(depth_map, round(step_px), options.width_px) for depth_map in maps]
+    checks = _checked(seen, [True] * len(seen), options)
     if not any(check.contradicts for check in checks):
         return checks
     # Again without the points of contradicting cameras: of two at one place, the other one may be wrong.
-    return _checked(maps, clouds, [not check.contradicts for check in checks], options)
+    return _checked(seen, [not check.contradicts for check in checks], options)
 
 
 def check_camera_poses(
@@ -79,55 +96,60 @@ def check_camera_poses(
 ) -> list[PoseCheck]:
     """`check_poses` for all cameras of a component, also for those whose photos have no depth map."""
     options = options or AgreementOptions()
-    measured = {depth_map.camera.image for depth_map in depths}
-    others = [camera for camera in cameras if camera.image not in measured]
-    return check_poses([*depths, *(empty_depth_map(camera, photos, options.width_px) for camera in others)], options)
+    width_px, measured = options.width_px, set[str]()
+
+    def maps() -> Iterator[DepthMap]:
+        for depth_map in depths:
+            measured.add(depth_map.camera.image)
+            yield depth_map
+        for camera in cameras:
+            if camera.image not in measured:
+                yield empty_depth_map(camera, photos, width_px)
+
+    return check_poses(maps(), options, count=len(cameras))
 
 
-def _checked(
-    maps: Sequence[DepthMap],
-    clouds: Sequence[tuple[Array32, Image]],
-    consistent: Sequence[bool],
-    options: AgreementOptions,
-) -> list[PoseCheck]:
+def _seen(depth_map: DepthMap, step: int, width_px: int) -> _Seen:
+    h, w = depth_map.depth.shape
+    size = (width_px, max(1, round(h * width_px / w)))
+    photo = cv2.resize(depth_map.rgb, size, interpolation=cv2.INTER_AREA).mean(axis=2, dtype=np.float32)
+    points, rgb = depth_map.points(step=step)
+    return _Seen(depth_map.camera, photo, points, rgb.mean(axis=1, dtype=np.float32))
+
+
+def _checked(seen: Sequence[_Seen], consistent: Sequence[bool], options: AgreementOptions) -> list[PoseCheck]:
     """One check per map, against the points of all other maps that are `consistent`."""
-    points = np.concatenate([np.zeros((0, 3), np.float32), *(xyz for xyz, _ in clouds)])
-    grey = np.concatenate([np.zeros(0, np.float32), *(rgb.mean(axis=1, dtype=np.float32) for _, rgb in clouds)])
-    owner = np.repeat(np.arange(len(maps)), [len(xyz) for xyz, _ in clouds])
+    points = np.concatenate([np.zeros((0, 3), np.float32), *(one.points for one in seen)])
+    grey = np.concatenate([np.zeros(0, np.float32), *(one.grey for one in seen)])
+    owner = np.repeat(np.arange(len(seen)), [len(one.points) for one in seen])
     used = np.asarray(consistent, bool)[owner] if len(owner) else np.zeros(0, bool)
     compared = []
-    for k, depth_map in enumerate(maps):
+    for k, one in enumerate(seen):
         others = used & (owner != k)
-        compared.append(_correlation(depth_map, points[others], grey[others], options))
+        compared.append(_correlation(one, points[others], grey[others], options))
     known = [ncc for ncc, _ in compared if ncc is not None]
     limit = min(options.max_ncc, options.max_share * float(np.median(known))) if known else 0.0
     return [
-        PoseCheck(depth_map.camera.image, ncc, covered, ncc is not None and ncc < limit)
-        for depth_map, (ncc, covered) in zip(maps, compared, strict=True)
+        PoseCheck(one.camera.image, ncc, covered, ncc is not None and ncc < limit)
+        for one, (ncc, covered) in zip(seen, compared, strict=True)
     ]
 
 
-def _correlation(
-    depth_map: DepthMap, points: Array32, grey: Array32, options: AgreementOptions
-) -> tuple[float | None, float]:
+def _correlation(seen: _Seen, points: Array32, grey: Array32, options: AgreementOptions) -> tuple[float | None, float]:
     """Correlation of a photo with the rendered points, None where that shows too little, and their coverage."""
-    h, w = depth_map.depth.shape
-    shape = (max(1, round(h * options.width_px / w)), options.width_px)
-    rendered, weight = _splat(depth_map, points, grey, shape)
+    rendered, weight = _splat(seen.camera, points, grey, seen.photo.shape)
     covered = weight > 0.5
     if covered.mean() < options.min_covered:
         return None, float(covered.mean())
-    photo = cv2.resize(depth_map.rgb, shape[::-1], interpolation=cv2.INTER_AREA).mean(axis=2, dtype=np.float32)
-    photo = _blurred(photo, weight > 0)[0]
+    photo = _blurred(seen.photo, weight > 0)[0]
     a, b = (x[covered] - x[covered].mean() for x in (rendered, photo))
     if a.std() < options.min_contrast:
         return None, float(covered.mean())
     return float((a * b).mean() / max(float(a.std() * b.std()), 1e-9)), float(covered.mean())
 
 
-def _splat(depth_map: DepthMap, points: Array32, grey: Array32, shape: tuple[int, int]) -> tuple[Array32, Array32]:
-    """Rendering of the nearest points, of `shape`, and the coverage of each pixel, 0 to 1."""
-    camera = depth_map.camera
+def _splat(camera: Camera, points: Array32, grey: Array32, shape: tuple[int, ...]) -> tuple[Array32, Array32]:
+    """Rendering of the nearest points, of `shape` (h, w), and the coverage of each pixel, 0 to 1."""
     xyz = camera.cam_from_world.apply(points)
     front = np.flatnonzero(xyz[:, 2] > 0)
     scale: Array = np.array(shape[::-1]) / [camera.intrinsics.width, camera.intrinsics.height]

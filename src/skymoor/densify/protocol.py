@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Protocol
 
 from skymoor.types import Array32, Component, DepthMap, Image, Photos, Progress
@@ -15,8 +16,8 @@ class DepthEstimator(Protocol):
     def max_px(self) -> int:
         """Largest long side of the depth maps, in pixels."""
 
-    def __call__(self, component: Component, photos: Photos, *, progress: Progress) -> list[DepthMap]:
-        """One depth map per camera that has stereo partners."""
+    def __call__(self, component: Component, photos: Photos, *, progress: Progress) -> Iterator[DepthMap]:
+        """One depth map per camera that has stereo partners, one after the other: all would fill the memory."""
 
 
 class MonocularDepth(Protocol):

@@ -18,12 +18,12 @@ import numpy as np
 from skymoor.engines.libraries import require, torch_device
 from skymoor.engines.options import FIXED
 from skymoor.engines.tensors import as_tensor, fitted
+from skymoor.engines.vlad import unit, vlad, vocabulary
 from skymoor.engines.weights import find
 from skymoor.engines.weights.repository import open_model
 from skymoor.errors import InputError
 from skymoor.match.protocol import Retriever
 from skymoor.match.retrieve import UNLIKE
-from skymoor.match.vlad import unit, vlad, vocabulary
 from skymoor.types import Array, Array32, Raster
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of DINOv2's training images

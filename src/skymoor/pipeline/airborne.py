@@ -24,6 +24,7 @@ from skymoor.pipeline.search import Extent, search_again
 from skymoor.reconstruct import ReconstructOptions, reconstruct, with_focal
 from skymoor.registration import focal_posterior
 from skymoor.registration.criteria import criterion, with_criteria
+from skymoor.store import Kept
 from skymoor.types import Component, DepthMap, Mask, Registration, Render
 
 IMMATERIAL = 0.25
@@ -90,7 +91,7 @@ def _register(name: str, component: Component, job: Job, before: ComponentResult
         depths = densify_component(name, level, job, options.engines.stereo(options.densify.method))
         checks = store.stage(f"{name}.pose_checks", check_camera_poses, level.cameras, depths, job.photos)
         doubted = {check.image for check in checks if check.contradicts}
-        depths = [depth_map for depth_map in depths if depth_map.camera.image not in doubted]
+        depths = depths.take(k for k, one in enumerate(depths) if one.camera.image not in doubted)
         model = _model(name, level, depths, job)
         render = store.stage(f"{name}.nadir", render_nadir, model, options.render, progress=job.track("nadir view"))
     except DegenerateGeometry as error:
@@ -107,10 +108,10 @@ def _register(name: str, component: Component, job: Job, before: ComponentResult
     return replace(found, pose_checks=checks, hypotheses=on_map, searched=searched)
 
 
-def densify_component(name: str, level: Component, job: Job, estimator: DepthEstimator) -> list[DepthMap]:
-    """Depth maps of a levelled component. Raises `DegenerateGeometry` without any."""
+def densify_component(name: str, level: Component, job: Job, estimator: DepthEstimator) -> Kept[DepthMap]:
+    """Depth maps of a levelled component, on the disk. Raises `DegenerateGeometry` without any."""
     progress = job.track(f"{name}: dense depth")
-    depths = job.store.stage(f"{name}.depths", estimator, level, job.photos, progress=progress)
+    depths = job.store.parts(f"{name}.depths", estimator, level, job.photos, progress=progress)
     if not depths:
         raise DegenerateGeometry("no photo has a partner to measure depth with")
     return depths

@@ -65,18 +65,19 @@ def estimate_run(
     if not airborne:
         return _without_airborne(ground, grid_px, options)
     n, match = len(airborne), options.match
-    depths = _depth_mib(airborne)
+    # Depth maps are on the disk; a radiance field is trained with all of them in memory.
+    held = 2 * _depth_mib(airborne) if options.model.kind == "nerf" else 0.0
     dense = DENSE_S.get(match.matcher, 2.0)
     model = options.model.nerf.budget_s or 900.0 if options.model.kind == "nerf" else 0.2 * n
     scales = np.log(match.max_height_m / match.min_height_m) / np.log(10.0)
-    search, searched = 25.0 * scales, LIBRARIES_MIB + depths + 60 * grid_px / 2**20
+    search, searched = 25.0 * scales, LIBRARIES_MIB + held / 2 + 60 * grid_px / 2**20
     steps = [
         _reference(grid_px),
         Step("photos", f"check {n} airborne photos", *_check(airborne)),
         *_checks(ground),
         Step("reconstruct", f"{n} photos by {options.reconstruct.matcher}", *_mapping(airborne, options, "air")),
-        Step("depths", f"depth maps by {options.densify.method}; what photos say of each other", 0.7 * n, depths + 600),
-        Step("model", f"{options.model.kind} and its view from above", model + 0.3 * n, 2 * depths + 600),
+        Step("depths", f"depth maps by {options.densify.method}; what photos say of each other", 0.7 * n, 800),
+        Step("model", f"{options.model.kind} and its view from above", model + 0.3 * n, held + 1000),
         Step("search", "every azimuth, scale and position in the orthophoto", search, searched),
         Step("decoys", "the same for decoys", 3 * search, searched),
         Step(
@@ -86,7 +87,7 @@ def estimate_run(
             searched,
         ),
     ]
-    steps += _ground(ground, options)
+    steps += _ground(ground, options, _depth_mib(airborne))
     return [*steps, Step("products", "tables, models, figures, report", 10 + 0.1 * n, searched)]
 
 
@@ -124,8 +125,8 @@ def _checks(ground: Sequence[Sequence[Size]]) -> list[Step]:
     return [Step(name, what, *_check(photos)) for (name, what), photos in zip(checked, ground, strict=True)]
 
 
-def _ground(sets: Sequence[Sequence[Size]], options: Options) -> list[Step]:
-    """All sets are reconstructed before the first is searched."""
+def _ground(sets: Sequence[Sequence[Size]], options: Options, airborne_mib: float = 0.0) -> list[Step]:
+    """All sets are reconstructed before the first is searched, for which the airborne depth maps are in memory too."""
     ground, models, searches = options.ground, [], []
     for k, photos in enumerate(sets):
         n, name, depths = len(photos), f"ground{k}", _depth_mib(photos)
@@ -135,7 +136,9 @@ def _ground(sets: Sequence[Sequence[Size]], options: Options) -> list[Step]:
             Step(f"{name}.reconstruct", f"{n} photos, lenses, look-alikes", *_mapping(photos, options, "ground")),
             Step(f"{name}.depths", f"depth maps by {ground.densify}", 0.7 * n, depths + 600),
         ]
-        searches.append(Step(f"{name}.search", f"every component by {ground.method}", seconds, depths + 1200))
+        searches.append(
+            Step(f"{name}.search", f"every component by {ground.method}", seconds, airborne_mib + depths + 1200)
+        )
     return [*models, *searches]
 
 

@@ -163,7 +163,8 @@ def _level(name: str, component: Component, target: _Airborne | MapTarget | None
         gravity = estimate_ground_gravity(component, job.photos, ground=ground)
         level_from_sfm = level_from_gravity(component, gravity)
         level = component.transformed(level_from_sfm)
-        depths = densify_component(name, level, job, engines.stereo(options.densify))
+        # In memory: the search looks at each of them again and again.
+        depths = list(densify_component(name, level, job, engines.stereo(options.densify)))
     except DegenerateGeometry as error:
         return refused(name, component, str(error))
     found = refused(name, level, "not searched yet")

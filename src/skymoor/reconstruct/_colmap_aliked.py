@@ -12,7 +12,7 @@ import pycolmap
 from skymoor.engines.options import FIXED
 from skymoor.engines.weights import find
 from skymoor.errors import BackendUnavailable
-from skymoor.reconstruct.database import enter_photos, extract, likely_pairs, match, threads, write_photos
+from skymoor.reconstruct.database import enter_photos, extract, likely_pairs, match, threads
 from skymoor.reconstruct.protocol import PairMatcher
 from skymoor.types import Photos, Progress
 
@@ -62,7 +62,6 @@ class ColmapAlikedMatcher:
         """Fill `database`; see `PairMatcher`. Raises what `ready` raises."""
         features, joint = self.ready()
         n = len(photos)
-        write_photos(photos, folder, grey=False)
         enter_photos(photos, database, shared_camera=self.shared_camera)
         extraction, matching = self._options(features, joint)
         extract(
@@ -70,6 +69,7 @@ class ColmapAlikedMatcher:
             database,
             folder,
             extraction,
+            grey=False,
             shared_camera=self.shared_camera,
             report=lambda done: progress(done, 3 * n),
         )

@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 
 from skymoor.engines.options import FIXED
-from skymoor.reconstruct.database import enter_photos, extract, match, stored, threads, write_photos
+from skymoor.reconstruct.database import enter_photos, extract, match, stored, threads
 from skymoor.reconstruct.pairs import exhaustive_pairs, preemptive_pairs
 from skymoor.reconstruct.protocol import PairMatcher, colmap_name
 from skymoor.types import Array32, Photos, Progress
@@ -44,7 +44,6 @@ class SiftMatcher:
         """Fill `database`; see `PairMatcher`."""
         n = len(photos)
         total = 3 * n  # extraction, choice of partners and matching take about as long
-        write_photos(photos, folder, grey=True)
         enter_photos(photos, database, shared_camera=self.shared_camera)
         options = pycolmap.FeatureExtractionOptions(use_gpu=False, num_threads=threads())
         options.max_image_size = self.max_image_px
@@ -56,6 +55,7 @@ class SiftMatcher:
             database,
             folder,
             options,
+            grey=True,
             shared_camera=self.shared_camera,
             report=lambda done: progress(done, total),
         )

@@ -22,6 +22,7 @@ T = TypeVar("T")
 Matched = tuple[int, int, NDArray[np.uint32]]
 
 RETRIEVAL_PX = 800
+COPIES = 16  # photos that lie on the disk a second time while COLMAP looks for key points
 
 
 def enter_photos(photos: Photos, database: Path, *, shared_camera: bool) -> None:
@@ -43,39 +44,46 @@ def enter_photos(photos: Photos, database: Path, *, shared_camera: bool) -> None
             db.write_frame(frame)
 
 
-def write_photos(photos: Photos, folder: Path, *, grey: bool) -> None:
-    """Write photos as files for COLMAP, without EXIF, from which it would read focal lengths.
-
-    Without `grey` they are colour files under the same names: COLMAP detects the format by content.
-    """
-    for index, (name, size) in enumerate(zip(photos.names, photos.sizes, strict=True)):
-        path = folder / colmap_name(index, size)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        code = cv2.COLOR_RGB2GRAY if grey else cv2.COLOR_RGB2BGR
-        _, content = cv2.imencode(".pgm" if grey else ".ppm", cv2.cvtColor(photos.read(name), code))
-        path.write_bytes(content.tobytes())
-
-
 def extract(
     photos: Photos,
     database: Path,
     folder: Path,
     options: pycolmap.FeatureExtractionOptions,
     *,
+    grey: bool,
     shared_camera: bool,
     report: Callable[[int], None],
 ) -> None:
-    """Key points and descriptors by COLMAP, of photos written by `write_photos` and `enter_photos`."""
+    """Key points and descriptors by COLMAP, after `enter_photos`; `report` is called with the number of photos done.
+
+    COLMAP reads files: copies of a few photos at a time lie in `folder`, and no later step needs them. With `grey` they
+    are grey, else in colour.
+    """
     mode = pycolmap.CameraMode.SINGLE if shared_camera else pycolmap.CameraMode.PER_IMAGE
     reader = pycolmap.ImageReaderOptions(camera_model="RADIAL" if shared_camera else "SIMPLE_RADIAL")
     device = pycolmap.Device.auto if options.use_gpu else pycolmap.Device.cpu
     done = 0
     for size in sorted(set(photos.sizes)):
-        names = [colmap_name(i, s) for i, s in enumerate(photos.sizes) if s == size]
-        for block in blocks(names, 16):
-            pycolmap.extract_features(database, folder, block, mode, reader, options, device, STOP)
+        for block in blocks([i for i, one in enumerate(photos.sizes) if one == size], COPIES):
+            names = [colmap_name(i, size) for i in block]
+            for i, name in zip(block, names, strict=True):
+                _write_copy(photos.read(photos.names[i]), folder / name, grey=grey)
+            pycolmap.extract_features(database, folder, names, mode, reader, options, device, STOP)
+            for name in names:
+                (folder / name).unlink()
             done += len(block)
             report(done)
+
+
+def _write_copy(rgb: Image, path: Path, *, grey: bool) -> None:
+    """A photo as a file without EXIF, from which COLMAP would read a focal length.
+
+    In colour it has the same name: COLMAP detects the format by content.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    code = cv2.COLOR_RGB2GRAY if grey else cv2.COLOR_RGB2BGR
+    _, content = cv2.imencode(".pgm" if grey else ".ppm", cv2.cvtColor(rgb, code))
+    path.write_bytes(content.tobytes())
 
 
 def match(

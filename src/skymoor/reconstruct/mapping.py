@@ -35,6 +35,10 @@ from skymoor.reconstruct.shared_intrinsics import (
 from skymoor.reconstruct.uncertainty import centre_covariances
 from skymoor.types import Component, Photos, Progress, no_progress
 
+FREQUENT_ADJUSTMENT_BELOW, RARER_ADJUSTMENT = 100, 1.3
+"""Photos beyond which everything is adjusted when a model has grown by 1.3, and not by COLMAP's 1.1: as exact in two
+thirds of the time (docs/decisions/0032)."""
+
 
 @dataclass(frozen=True)
 class ReconstructOptions:
@@ -96,7 +100,7 @@ def reconstruct(
             mapped[0] += 1
             progress(3 * n + min(n, mapped[0]), 4 * n)
 
-        models = _map(database, folder, _mapping_options(options, seed), next_image)
+        models = _map(database, folder, _mapping_options(options, len(photos), seed), next_image)
         lenses: list[Lens] = []
         if not options.mixed_lenses:
             models, database, lenses = _told_apart(models, database, folder, photos, options, seed)
@@ -108,7 +112,7 @@ def reconstruct(
 
 @contextmanager
 def _temporary_folder() -> Iterator[Path]:
-    """A folder for COLMAP's files: grey copies of all photos, and the database."""
+    """A folder for COLMAP's files: copies of a few photos at a time, and the database."""
     remedy = "make room there for temporary files, or set TMPDIR to another folder"
     try:
         with temporary_folder() as folder:
@@ -150,7 +154,7 @@ def _told_apart(
         return models, database, []
     copy = folder / "lenses.db"
     lenses = copy_with_cameras(database, copy, photos, groups)
-    apart = _map(copy, folder, _mapping_options(options, seed), lambda: None)
+    apart = _map(copy, folder, _mapping_options(options, len(photos), seed), lambda: None)
     if not apart or not (own := [lens for lens in lenses if is_own(apart[0], lens)]):
         return models, database, []
     return apart, copy, own
@@ -172,7 +176,7 @@ def _improved(
         if options.mixed_lenses:
             models = [group_intrinsics(model, options.intrinsics) for model in models]
         reliable = _reliable(models, options)
-        mapping, changed = _mapping_options(options, seed), False
+        mapping, changed = _mapping_options(options, len(photos), seed), False
         with pycolmap.Database.open(database) as db:
             if pair_filter is not None and round_ < rounds:
                 components = tuple(component_from_colmap(model, names) for model in reliable)
@@ -216,7 +220,7 @@ def _distinct(models: list[pycolmap.Reconstruction]) -> list[pycolmap.Reconstruc
     return kept
 
 
-def _mapping_options(options: ReconstructOptions, seed: int) -> pycolmap.IncrementalPipelineOptions:
+def _mapping_options(options: ReconstructOptions, photos: int, seed: int) -> pycolmap.IncrementalPipelineOptions:
     mapping = pycolmap.IncrementalPipelineOptions(
         min_model_size=options.min_cameras,
         extract_colors=False,
@@ -224,6 +228,8 @@ def _mapping_options(options: ReconstructOptions, seed: int) -> pycolmap.Increme
         num_threads=1,
         random_seed=seed,
     )
+    if photos > FREQUENT_ADJUSTMENT_BELOW:
+        mapping.ba_global_frames_ratio = mapping.ba_global_points_ratio = RARER_ADJUSTMENT
     mapping.mapper.random_seed = seed
     mapping.triangulation.random_seed = seed
     return mapping

@@ -7,7 +7,7 @@ their names in the simulated site, or, where an engine gets pixels only, by thos
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
@@ -56,19 +56,17 @@ class OracleDepth:
     missing_share: float = 0.0
     seed: int = 0
 
-    def __call__(self, component: Component, photos: Photos, *, progress: Progress = no_progress) -> list[DepthMap]:
+    def __call__(self, component: Component, photos: Photos, *, progress: Progress = no_progress) -> Iterator[DepthMap]:
         """One depth map per camera. Raises `InputError` for a photo that the site does not have."""
         truths = [true_view(self.world, camera.image) for camera in component.cameras]
         enu_from_sfm = true_enu_from_sfm(component, [camera for camera, _ in truths])
-        maps = []
         for done, (camera, (_, scene)) in enumerate(zip(component.cameras, truths, strict=True)):
             small, rgb = _undistorted(camera, photos.read(camera.image), self.max_px)
             exact = true_depth(scene, small.transformed(enu_from_sfm)) / np.float32(enu_from_sfm.scale)
             depth = self._erring(exact, stream(self.seed, "depth", camera.image))
             sigma = (max(self.noise_ratio, 1e-3) * depth).astype(np.float32)
-            maps.append(DepthMap(small, depth, sigma, np.full(depth.shape, 3, np.uint8), rgb))
+            yield DepthMap(small, depth, sigma, np.full(depth.shape, 3, np.uint8), rgb)
             progress(done + 1, len(truths))
-        return maps
 
     def _erring(self, depth: Array32, rng: np.random.Generator) -> Array32:
         factor = 1 + self.noise_ratio * rng.standard_normal(depth.shape)

@@ -5,6 +5,7 @@ from skymoor.store._atomic import atomic_file, atomic_files, atomic_folder
 from skymoor.store._cache import read_stage
 from skymoor.store._closure import defining_modules, fingerprint, import_closure
 from skymoor.store._digest import digest
+from skymoor.store._kept import Kept
 from skymoor.store._marks import FETCHED, FRAMES, PRODUCTS, is_run
 from skymoor.store._plain import plain
 from skymoor.store._run import FROM_CACHE, StageRecord, Store
@@ -29,6 +30,7 @@ __all__ = [
     "FROM_CACHE",
     "PRODUCTS",
     "FoundFiles",
+    "Kept",
     "PhotoFile",
     "StageRecord",
     "Store",

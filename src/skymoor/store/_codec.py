@@ -7,7 +7,7 @@ package, and classes of it with `to_state` and `from_state`, are made when a fil
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
@@ -31,6 +31,18 @@ class Stateful(Protocol):
         """The object of a state."""
 
 
+@runtime_checkable
+class OnDisk(Protocol):
+    """A sequence whose items stay in the file of their stage: other files refer to it."""
+
+    def on_disk(self) -> list[Any]:
+        """Plain values by which the sequence is found again."""
+
+
+def _no_other_files(_: Any) -> object:
+    raise ValueError("no other file is read here")
+
+
 def encode(value: object) -> tuple[Any, list[NDArray[Any]]]:
     """(JSON value, arrays) of plain values, arrays, dataclasses of this package and containers of them.
 
@@ -41,21 +53,30 @@ def encode(value: object) -> tuple[Any, list[NDArray[Any]]]:
     return _encoded(value, arrays, numbers), arrays
 
 
-def decode(tree: Any, arrays: Sequence[NDArray[Any]]) -> Any:
-    """What `encode` was given. Raises `ValueError`, `TypeError` or `LookupError` for what it never wrote."""
+def decode(tree: Any, arrays: Sequence[NDArray[Any]], referred: Callable[[Any], object] = _no_other_files) -> Any:
+    """What `encode` was given; `referred` gives a sequence by its reference.
+
+    Raises `ValueError`, `TypeError` or `LookupError` for what `encode` never wrote.
+    """
+
+    def inner(item: Any) -> Any:
+        return decode(item, arrays, referred)
+
     if isinstance(tree, list):
-        return [decode(item, arrays) for item in tree]
+        return [inner(item) for item in tree]
     if not isinstance(tree, dict):
         return tree
     ((tag, content),) = tree.items()
     if tag == "object":
         name, state = content
-        return _made(name, {key: decode(item, arrays) for key, item in state.items()})
+        return _made(name, {key: inner(item) for key, item in state.items()})
     if tag == "array":
         return arrays[content]
     if tag == "tensor":
         return import_module("torch").from_numpy(arrays[content])
-    return _plain(tag, content, arrays)
+    if tag == "kept":
+        return referred(content)
+    return _plain(tag, content, inner)
 
 
 def is_tensor(value: object) -> bool:
@@ -88,6 +109,8 @@ def _encoded(value: Any, arrays: list[NDArray[Any]], numbers: dict[int, int]) ->
         return {"tuple": [inner(item) for item in value]}
     if isinstance(value, Mapping):
         return {"mapping": [[inner(key), inner(item)] for key, item in value.items()]}
+    if isinstance(value, OnDisk):
+        return {"kept": value.on_disk()}
     if isinstance(value, Path):
         return {"path": value.as_posix()}
     kind = type(value)
@@ -116,17 +139,17 @@ def _number(value: Any) -> Any:
     return {"float": repr(value)} if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _plain(tag: str, content: Any, arrays: Sequence[NDArray[Any]]) -> Any:
+def _plain(tag: str, content: Any, inner: Callable[[Any], Any]) -> Any:
     if tag == "float":
         return float(content)
     if tag == "path":
         return Path(content)
     if tag == "scalar":
-        return np.dtype(content[0]).type(decode(content[1], arrays))
+        return np.dtype(content[0]).type(inner(content[1]))
     if tag == "tuple":
-        return tuple(decode(item, arrays) for item in content)
+        return tuple(inner(item) for item in content)
     if tag == "mapping":
-        return {decode(key, arrays): decode(item, arrays) for key, item in content}
+        return {inner(key): inner(item) for key, item in content}
     raise ValueError(f"{tag!r} is not a kind of value")
 
 

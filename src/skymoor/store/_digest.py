@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from skymoor.store._codec import is_tensor, tensor_array
+from skymoor.store._codec import OnDisk, is_tensor, tensor_array
 
 _KNOWN: WeakKeyDictionary[Any, str] = WeakKeyDictionary()
 """Digests of dataclasses that compare by identity: large results are hashed once, though several stages take them."""
@@ -40,6 +40,8 @@ def parts_of(value: object) -> Iterator[object]:
     if isinstance(value, (list, tuple, AbstractSet)):
         for item in value:
             yield from parts_of(item)
+    elif isinstance(value, OnDisk):
+        yield from parts_of(next(iter(value), None))  # type: ignore[call-overload]  # all are of one type
     elif isinstance(value, Mapping):
         for item in value.values():
             yield from parts_of(item)

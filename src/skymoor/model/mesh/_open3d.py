@@ -17,8 +17,8 @@ NO_SURFACE = "the depth maps have no common surface"
 
 def fuse_mesh(
     maps: Sequence[DepthMap],
-    usable: Sequence[NDArray[np.bool_]],
     *,
+    max_sigma_ratio: float,
     voxel: float,
     trunc_voxels: float,
     min_weight: float,
@@ -26,20 +26,24 @@ def fuse_mesh(
 ) -> tuple[Array32, NDArray[np.int32]]:
     """Fuse depth maps by truncated signed distances (Curless and Levoy 1996): vertices (n, 3) and triangles (m, 3).
 
+    Depths count whose standard deviation is below `max_sigma_ratio` of them.
+
     Raises:
         DegenerateGeometry: the depth maps have no common surface.
     """
-    if not any(use.any() for use in usable):
-        raise DegenerateGeometry("no depth map has a depth of sufficient certainty")
     o3d = open3d()
     core = o3d.core
     device = core.Device("CPU:0")
     volume = o3d.t.geometry.VoxelBlockGrid(
         ("tsdf", "weight"), (core.float32, core.float32), ((1), (1)), voxel, 8, 20000, device
     )
-    for done, (depth_map, use) in enumerate(zip(maps, usable, strict=True)):
+    certain = False
+    for done, depth_map in enumerate(maps):
+        with np.errstate(invalid="ignore"):
+            use = depth_map.sigma < max_sigma_ratio * depth_map.depth
         depth = np.where(use, depth_map.depth, 0).astype(np.float32)
         if depth.any():
+            certain = True
             image = o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(depth[..., None])))
             # Open3D truncates pixel coordinates, so the first pixel's centre is at 0.5, as in this project.
             matrix = core.Tensor(depth_map.camera.intrinsics.matrix())
@@ -48,6 +52,8 @@ def fuse_mesh(
             blocks = volume.compute_unique_block_coordinates(image, matrix, pose, 1.0, far, trunc_voxels)
             volume.integrate(blocks, image, matrix, pose, 1.0, far, trunc_voxels)
         progress(done + 1, len(maps))
+    if not certain:
+        raise DegenerateGeometry("no depth map has a depth of sufficient certainty")
     try:
         mesh = volume.extract_triangle_mesh(weight_threshold=min_weight)
     except RuntimeError as error:  # raised by Open3D for an empty mesh

@@ -57,12 +57,15 @@ class MeshBuilder:
         pixel = float(np.median(footprints))
         across = np.ptp(np.percentile(component.points[:, :2], [1, 99], axis=0), axis=0).max()
         voxel = max(self.voxel_px * pixel, across / self.max_voxels_across)
-        with np.errstate(invalid="ignore"):
-            usable = [m.sigma < self.max_sigma_ratio * m.depth for m in depths]
         vertices, triangles = fuse_mesh(
-            depths, usable, voxel=voxel, trunc_voxels=self.trunc_voxels, min_weight=self.min_weight, progress=progress
+            depths,
+            max_sigma_ratio=self.max_sigma_ratio,
+            voxel=voxel,
+            trunc_voxels=self.trunc_voxels,
+            min_weight=self.min_weight,
+            progress=progress,
         )
-        return MeshModel(vertices, triangles, tuple(depths), pixel, self.blend)
+        return MeshModel(vertices, triangles, depths, pixel, self.blend)
 
 
 _builder: type[SceneBuilder] = MeshBuilder
@@ -74,7 +77,7 @@ class MeshModel:
 
     vertices: Array32
     triangles: NDArray[np.int32]
-    maps: tuple[DepthMap, ...]
+    maps: Sequence[DepthMap]
     pixel: float
     blend: BlendOptions
 
