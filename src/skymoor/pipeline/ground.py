@@ -136,7 +136,12 @@ def _airborne(bases: Sequence[ComponentResult], photos: Photos, job: Job) -> _Ai
     largest_first = sorted(bases, key=lambda item: -len(item.component.cameras))
     models = [_model(item) for item in largest_first if item.render is not None]
     options, progress = job.options.ground.walls, job.track("walls")
-    walls = job.store.stage("walls", walls_of_components, models, photos, options, seed=job.seed, progress=progress)
+    heights = base.registration.heights
+    # Roof edges of a DSM are where the model's are only if both have one relief.
+    reference = job.reference if heights is not None and heights.status == "CONFIRMED" else None
+    walls = job.store.stage(
+        "walls", walls_of_components, models, photos, options, reference=reference, seed=job.seed, progress=progress
+    )
     return _Airborne(base, walls, renders)
 
 

@@ -9,10 +9,12 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from skymoor.geo import Grid
-from skymoor.ground.walls import AirborneWalls, airborne_walls
+from skymoor.geo import EnuFrame, Grid
+from skymoor.geometry import Similarity
+from skymoor.ground.walls import AirborneModel, AirborneWalls, airborne_walls, walls_of_components
+from skymoor.ground.walls.airborne import transformed_depth_map
 from skymoor.ground.walls.roof_edges import SurfaceImage
-from skymoor.types import DepthMap
+from skymoor.types import DepthMap, Photos, Reference, Render, View
 from support.houses import Houses, nearly_straight_down
 
 BOX = Houses(np.array([[1.0, 2.0]]), np.array([[8.0, 6.0]]), np.array([7.0]), np.array([25.0]), seed=5)
@@ -95,6 +97,36 @@ def test_walls_of_the_depth_maps_are_not_repeated_by_roof_edges() -> None:
     both = airborne_walls(maps, surfaces=[from_above(), from_above()], pictures_enu=pictures(), rng=rng)
     check_sides(both)
     assert [f.wall.offset for f in both.facades] == [f.wall.offset for f in alone.facades]
+
+
+def flat_model(enu_from_level: Similarity) -> tuple[AirborneModel, Photos]:
+    """The box's photos with a nadir render that knows the ground only, in another frame, and how to read them."""
+    level_from_enu = enu_from_level.inverse()
+    maps = [transformed_depth_map(one, level_from_enu) for one in smoothed(flight())]
+    rows, columns = np.indices(GRID.shape)
+    enu = np.stack([GRID.east0 + (columns + 0.5) * 0.25, GRID.north0 - (rows + 0.5) * 0.25, 0.0 * rows], axis=-1)
+    pixel = 0.25 * level_from_enu.scale
+    corner = level_from_enu.apply(np.array([[GRID.east0, GRID.north0, 0.0]]))[0]
+    view = View(np.diag([1.0, -1.0, -1.0]), corner[0] + pixel / 2, -corner[1] + pixel / 2, pixel, GRID.shape)
+    rgb = np.full((*GRID.shape, 3), 100, np.uint8)
+    render = Render(view, rgb, level_from_enu.apply(enu).astype(np.float32), np.ones(GRID.shape, np.float32))
+    images = {one.camera.image: one.rgb for one in flight()}
+    sizes = tuple((rgb.shape[1], rgb.shape[0]) for rgb in images.values())
+    cameras = [one.camera for one in maps]
+    return AirborneModel(maps, cameras, render, enu_from_level), Photos(tuple(images), sizes, images.__getitem__)
+
+
+def test_a_fine_dsm_gives_the_roof_edges_that_the_model_does_not_show() -> None:
+    model, photos = flat_model(Similarity(5.0, np.eye(3), np.array([3.0, -2.0, 1.0])))
+    above, frame = from_above(), EnuFrame(47.0, 8.0, 400.0)
+    reference = Reference(frame, GRID, above.rgb, above.seen, above.up, np.eye(3), 0.5)
+    alone = walls_of_components([model], photos)
+    assert alone is not None and not alone.facades
+    with_dsm = walls_of_components([model], photos, reference=reference)
+    assert with_dsm is not None
+    check_sides(with_dsm)
+    coarse = walls_of_components([model], photos, reference=replace(reference, dsm_pixel_m=30.0))
+    assert coarse is not None and not coarse.facades
 
 
 def test_the_plan_is_that_of_the_largest_surface_or_of_the_heights() -> None:

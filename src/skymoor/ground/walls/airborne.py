@@ -36,7 +36,7 @@ from skymoor.match import CyclicOptions, DenseMatcher, PointMatcher, StructuralM
 from skymoor.match.overlay import render_bounds, warp_confidence, warp_to_grid
 from skymoor.registration import RegisterOptions
 from skymoor.registration.detail import averaged
-from skymoor.types import Camera, DepthMap, Photos, Progress, Render, no_progress
+from skymoor.types import Camera, DepthMap, Photos, Progress, Reference, Render, no_progress
 
 WORTH = 0.05  # confidence of the render that widens its surface
 PICTURE_PIXELS = 2e8  # of all photos that colour walls together: 3 GB
@@ -62,6 +62,7 @@ class GroundOptions:
             positions around.
         min_kept: share of that agreement that must remain after the final fit to the matches.
         picture_px: largest long side of the photos that colour walls below roof edges.
+        max_dsm_m: pixels of a DSM up to which its height steps are roof edges too.
         plan_cell_m: of the search in plan.
         key_points: what matches those of walls; None where there is no learned matcher.
         edges, roof_facades, plan, walls, airborne_facades, ground_facades, search, pool, dense, cyclic, register,
@@ -86,6 +87,7 @@ class GroundOptions:
     refine: RefineOptions = field(default_factory=RefineOptions, metadata=FIXED)
     perturbation: PerturbationOptions = field(default_factory=PerturbationOptions, metadata=FIXED)
     picture_px: int = field(default=2000, metadata=FIXED)
+    max_dsm_m: float = field(default=1.0, metadata=FIXED)
     plan_cell_m: float = field(default=0.75, metadata=FIXED)
     edges: RoofEdgeOptions = field(default_factory=RoofEdgeOptions, metadata=FIXED)
     roof_facades: RoofFacadeOptions = field(default_factory=RoofFacadeOptions, metadata=FIXED)
@@ -186,10 +188,14 @@ def walls_of_components(
     photos: Photos,
     options: GroundOptions | None = None,
     *,
+    reference: Reference | None = None,
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> AirborneWalls | None:
-    """`airborne_walls` of several components, the largest first; None without any surface."""
+    """`airborne_walls` of several components, the largest first; None without any surface.
+
+    Roof edges that the components do not show come from the reference, where its DSM is fine enough to have them.
+    """
     if not models:
         return None
     options = options or GroundOptions()
@@ -198,6 +204,8 @@ def walls_of_components(
     picture_px = min(options.picture_px, int(np.sqrt(PICTURE_PIXELS / len(cameras))))
     pictures = [empty_depth_map(camera, photos, picture_px) for camera in cameras]
     surfaces = [_surface(model) for model in models]
+    if reference is not None and reference.dsm_pixel_m <= options.max_dsm_m:
+        surfaces.append(_of_reference(reference, surfaces))
     rng = np.random.default_rng(seed)
     try:
         return airborne_walls(maps, options, surfaces=surfaces, pictures_enu=pictures, rng=rng, progress=progress)
@@ -214,6 +222,13 @@ def _surface(model: AirborneModel) -> SurfaceImage:
     raster, up = warp_to_grid(model.render, model.enu_from_level, grid, 0.0)
     seen = warp_confidence(model.render, model.enu_from_level, grid) >= MEASURED
     return SurfaceImage(grid, raster.rgb, up, seen)
+
+
+def _of_reference(reference: Reference, surfaces: Sequence[SurfaceImage]) -> SurfaceImage:
+    """Orthophoto and DSM where the surfaces are."""
+    bounds = np.array([surface.grid.bounds for surface in surfaces])
+    part = reference.part([*bounds[:, :2].min(axis=0), *bounds[:, 2:].max(axis=0)])
+    return SurfaceImage(part.grid, part.rgb, part.height, np.isfinite(part.height))
 
 
 def transformed_depth_map(depth_map: DepthMap, target_from_source: Similarity) -> DepthMap:
