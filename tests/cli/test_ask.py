@@ -24,7 +24,8 @@ def test_an_answer_bounds_the_search_and_the_result_says_so(
 ) -> None:
     out = tmp_path / "out"
     shutil.copytree(finished, out)
-    wrong = ("--set", "match.min_height_m=150", "--set", "match.max_height_m=165")
+    # Half of the right one: the smaller the render, the less there is to search.
+    wrong = ("--set", "match.min_height_m=36", "--set", "match.max_height_m=39")
     assert run(small_site.folder / "airborne.toml", out, *wrong) == 3
     assert f"skymoor ask {out}" in capsys.readouterr().out
     assert "skymoor ask" in (out / "report.html").read_text()

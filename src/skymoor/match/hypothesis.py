@@ -34,10 +34,14 @@ class ImageHypothesis:
         return np.column_stack([linear, np.array(self.centre_px) - linear @ centre])
 
 
-def distinct(hypotheses: list[ImageHypothesis], shape: tuple[int, int]) -> list[ImageHypothesis]:
-    """Best first, without near duplicates of a better one; `shape` (h, w) is the image's."""
+def distinct(
+    hypotheses: list[ImageHypothesis], shape: tuple[int, int], most: int | None = None
+) -> list[ImageHypothesis]:
+    """The best first, at most `most`, without near duplicates of a better one; `shape` (h, w) is the image's."""
     kept: list[ImageHypothesis] = []
     for p in sorted(hypotheses, key=lambda p: -p.score):
+        if len(kept) == most:
+            break
         if all(not equivalent(p, q, shape) for q in kept):
             kept.append(p)
     return kept

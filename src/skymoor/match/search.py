@@ -120,7 +120,7 @@ def search_in(
     for done, scale in enumerate(scales):
         coarse += search.coarse(scale, azimuths)
         progress(done + 1, len(scales) + 1)
-    found = search.refined([*distinct(coarse, a.mask.shape)[: options.keep], *start[: options.keep]])
+    found = search.refined([*distinct(coarse, a.mask.shape, options.keep), *start[: options.keep]])
     progress(len(scales) + 1, len(scales) + 1)
     return found
 

@@ -48,33 +48,33 @@ class Canvas:
         """Size of a texel."""
         return 2 * self.half_m / self.size
 
-    def px(self, plan: ArrayLike) -> NDArray[np.int32]:
-        """Plan positions (n, 2) in OpenCV's fixed-point pixels."""
-        e, n = np.asarray(plan, np.float64).reshape(-1, 2).T
+    def px(self, shapes: Iterable[ArrayLike]) -> list[NDArray[np.int32]]:
+        """Shapes of plan positions (k, 2) in OpenCV's fixed-point pixels."""
+        plans = [np.asarray(shape, np.float64).reshape(-1, 2) for shape in shapes]
+        if not plans:
+            return []
+        # All at once: there are thousands of small ones.
+        e, n = np.concatenate(plans).T
         uv = np.stack([(e + self.half_m) / self.texel_m - 0.5, (self.half_m - n) / self.texel_m - 0.5], axis=1)
-        return np.asarray(np.clip(uv, -20000, 40000) * (1 << SUB), dtype=np.int32)
+        fixed = np.asarray(np.clip(uv, -20000, 40000) * (1 << SUB), dtype=np.int32)
+        ends = np.cumsum([len(plan) for plan in plans]).tolist()
+        return [fixed[first:last] for first, last in zip([0, *ends], ends, strict=False)]
 
     def lines(self, lines: Iterable[ArrayLike], width_m: float) -> Array32:
         """Coverage (size, size) in [0, 1] of polylines (k, 2)."""
         mask = np.zeros((self.size, self.size), np.uint8)
         width = width_m / self.texel_m
-        for line in lines:
-            cv2.polylines(
-                mask,
-                [self.px(line)],
-                isClosed=False,
-                color=255,
-                thickness=max(round(width), 1),
-                lineType=cv2.LINE_AA,
-                shift=SUB,
-            )
+        thickness = max(round(width), 1)
+        cv2.polylines(
+            mask, self.px(lines), isClosed=False, color=255, thickness=thickness, lineType=cv2.LINE_AA, shift=SUB
+        )
         return mask * np.float32(min(width, 1.0) / 255)
 
     def areas(self, outlines: Iterable[ArrayLike]) -> Array32:
         """Coverage (size, size) in [0, 1] of polygons (k, 2)."""
         mask = np.zeros((self.size, self.size), np.uint8)
-        for outline in outlines:
-            cv2.fillPoly(mask, [self.px(outline)], 255, cv2.LINE_AA, SUB)
+        for outline in self.px(outlines):  # one by one: together, what two of them cover would be left out
+            cv2.fillPoly(mask, [outline], 255, cv2.LINE_AA, SUB)
         return mask * np.float32(1 / 255)
 
 

@@ -110,7 +110,7 @@ def _core(
 ) -> tuple[tuple[Building, ...], tuple[Yard, ...]]:
     """Buildings that are modelled in full, each with its yard where there is room."""
     rng = stream(options.key, "buildings")
-    blocks = BLOCKS[options.preset]
+    blocks, pieces = BLOCKS[options.preset], _pieces(strips)
     wanted = max(int(blocks.per_hectare * (2 * options.radius_m / 100) ** 2), 3)
     buildings: list[Building] = []
     yards: list[Yard] = []
@@ -121,7 +121,7 @@ def _core(
         e, n = rng.uniform(-reach, reach, 2)
         block = blocks.draw(rng)
         block = block if attempt < 1500 else block.smaller()
-        heading = _heading_at(strips, e, n) + rng.choice([0, 90, 180, 270]) + rng.normal(scale=1.5)
+        heading = _heading_at(pieces, e, n) + rng.choice([0, 90, 180, 270]) + rng.normal(scale=1.5)
         if not ground.free(placed(grown(block.outline, 4.0), e, n, heading)):
             continue
         ground.take(placed(grown(block.outline, 2.5), e, n, heading))
@@ -177,17 +177,18 @@ def _with_twin(buildings: list[Building]) -> list[Building]:
     return [twin if b is far else b for b in buildings]
 
 
-def _heading_at(strips: tuple[Strip, ...], e: float, n: float) -> float:
+def _pieces(strips: tuple[Strip, ...]) -> tuple[Array, Array]:
+    """Middles (n, 2) of the straight pieces of all roads, and their directions (n,) in degrees from east."""
+    lines = [np.array(strip.line) for strip in strips]
+    steps = np.concatenate([np.diff(line, axis=0) for line in lines])
+    middles = np.concatenate([(line[1:] + line[:-1]) / 2 for line in lines])
+    return middles, np.degrees(np.arctan2(steps[:, 1], steps[:, 0]))
+
+
+def _heading_at(pieces: tuple[Array, Array], e: float, n: float) -> float:
     """Direction of the nearest road, degrees counter-clockwise from east."""
-    best, heading = np.inf, 0.0
-    for strip in strips:
-        line = np.array(strip.line)
-        middles, steps = (line[1:] + line[:-1]) / 2, np.diff(line, axis=0)
-        distance = np.hypot(middles[:, 0] - e, middles[:, 1] - n)
-        k = int(np.argmin(distance))
-        if distance[k] < best:
-            best, heading = float(distance[k]), float(np.degrees(np.arctan2(steps[k, 1], steps[k, 0])))
-    return heading
+    middles, headings = pieces
+    return float(headings[np.argmin(np.hypot(middles[:, 0] - e, middles[:, 1] - n))])
 
 
 def _yard_beside(
@@ -232,7 +233,7 @@ def _surroundings(
 ) -> tuple[tuple[Building, ...], tuple[Yard, ...]]:
     """Plainer buildings and yards in the rest: other places for a matcher to fall for."""
     rng = stream(options.key, "surroundings")
-    blocks = BLOCKS[options.preset]
+    blocks, pieces = BLOCKS[options.preset], _pieces(strips)
     count = int(0.55 * blocks.per_hectare * ((2 * extent) ** 2 - (2 * options.radius_m) ** 2) / 1e4)
     found: list[Building] = []
     yards: list[Yard] = []
@@ -241,7 +242,7 @@ def _surroundings(
             break
         e, n = rng.uniform(-0.97 * extent, 0.97 * extent, 2)
         block = blocks.draw(rng)
-        heading = _heading_at(strips, e, n) + rng.choice([0, 90]) + rng.normal(scale=2)
+        heading = _heading_at(pieces, e, n) + rng.choice([0, 90]) + rng.normal(scale=2)
         if max(abs(e), abs(n)) < options.radius_m + 12 or not ground.free(
             placed(grown(block.outline, 3), e, n, heading)
         ):
