@@ -85,8 +85,8 @@ KINDS: dict[str, Kind] = {
         refusal="match score {search_score:.0f} and {cells:.0f} agreeing cells of {covered_cells:.0f} are not "
         "significant: decoys reach {decoy_score:.0f} and {decoy_cells:.0f} in this reference (false-alarm probability "
         "{value})",
-        meaning="Match score and agreement must be significantly above those of decoys: mirrored and stretched renders, "
-        "which match nowhere, searched and matched in the same reference.",
+        meaning="Match score and agreement must be significantly above those of decoys: mirrored and stretched "
+        "renders, which match nowhere, searched and matched in the same reference.",
         limit="at most register.max_false_alarm",
         remedy=f"Check that the reference covers the site and looks like the photos, {NARROW_HEIGHTS}, "
         "or photograph a larger area: more content makes the score more significant.",
