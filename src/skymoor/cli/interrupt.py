@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Generic, NoReturn, TypeVar
 
-from skymoor.engines.temporary import remove_temporary_folders
+from skymoor.engines.temporary import remove_temporary
 
 T = TypeVar("T")
 
@@ -167,7 +167,7 @@ def _clear() -> None:
     for give_back in AT_END:
         with suppress(Exception):
             give_back()
-    remove_temporary_folders()
+    remove_temporary()
 
 
 def _tell(line: str) -> None:

@@ -1,36 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folders for files that other programs read and write, which are gone when the work ends, however it ends."""
+"""Files and folders that are gone when the work ends, however it ends."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 OPEN: set[Path] = set()
 
 
 @contextmanager
+def gone_at_the_end(path: Path) -> Iterator[Path]:
+    """Remove a file or folder, if it is still there, when the block ends or the process is ended within it."""
+    OPEN.add(path)
+    try:
+        yield path
+    finally:
+        _remove(path)
+        OPEN.discard(path)
+
+
+@contextmanager
 def temporary_folder(parent: Path | None = None, prefix: str = "skymoor-") -> Iterator[Path]:
-    """A new folder in `parent`, or where temporary files belong, for the time of the block.
+    """A new folder in `parent`, or where temporary files belong, for the time of the block: other programs write there.
 
     Raises `OSError` where it cannot be made.
     """
-    folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
-    OPEN.add(folder)
-    try:
+    with gone_at_the_end(Path(tempfile.mkdtemp(prefix=prefix, dir=parent))) as folder:
         yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        OPEN.discard(folder)
 
 
-def remove_temporary_folders() -> None:
-    """Remove those of blocks that will not end, because the process does."""
-    for folder in tuple(OPEN):
+def remove_temporary() -> None:
+    """Remove what blocks would that will not end, because the process does."""
+    for path in tuple(OPEN):
         for _ in range(3):  # a thread that still writes there may add a file while others are deleted
-            shutil.rmtree(folder, ignore_errors=True)
-            if not folder.exists():
+            _remove(path)
+            if not path.exists():
                 break
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):  # the error before this is the one to report
+            path.unlink(missing_ok=True)

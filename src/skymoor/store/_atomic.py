@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
+from skymoor.engines.temporary import gone_at_the_end
 from skymoor.errors import InputError
 
 PREFIX = ".skymoor-"
@@ -24,8 +25,8 @@ def atomic_file(target: Path) -> Iterator[IO[bytes]]:
     with disk_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         descriptor, name = tempfile.mkstemp(prefix=PREFIX, suffix=SUFFIX, dir=target.parent)
-    temporary = Path(name)
-    try:
+    # A large one is written for minutes, and the process may be ended within them.
+    with gone_at_the_end(Path(name)) as temporary:
         with disk_errors(target), os.fdopen(descriptor, "w+b") as file:
             yield file
             file.flush()
@@ -35,9 +36,6 @@ def atomic_file(target: Path) -> Iterator[IO[bytes]]:
             temporary.chmod(0o666 & ~_umask())
             temporary.replace(target)
             _sync_folder(target.parent)
-    finally:
-        with suppress(OSError):  # the error before this is the one to report
-            temporary.unlink(missing_ok=True)
 
 
 def atomic_folder(target: Path, fill: Callable[[Path], object]) -> None:
