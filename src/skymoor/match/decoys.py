@@ -91,9 +91,9 @@ def decoy_scores(a: Raster, b: Raster, **arguments: Any) -> list[float]:
 
 def make_decoys(a: Raster, options: DecoyOptions) -> Iterator[Raster]:
     """Up to `options.count` decoys of `a`, with masks and heights."""
-    flipped = mirrored(a)
-    stretches = max(options.count - 1, 0)
-    yield from [flipped][: options.count]
+    flipped, stretches = mirrored(a), options.count - 1
+    if options.count:
+        yield flipped
     for k in range(stretches):
         yield stretched(flipped, options.stretch, np.pi * k / stretches)
 

@@ -44,7 +44,7 @@ def atomic_folder(target: Path, fill: Callable[[Path], object]) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=PREFIX, suffix=SUFFIX, dir=target.parent))
     fresh, old = temporary / "new", temporary / "old"
-    try:
+    with gone_at_the_end(temporary):
         with disk_errors(target):
             fresh.mkdir()
             fill(fresh)
@@ -53,8 +53,6 @@ def atomic_folder(target: Path, fill: Callable[[Path], object]) -> None:
                 target.rename(old)
             fresh.rename(target)
             _sync_folder(target.parent)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def atomic_files(folder: Path, names: Sequence[str], fill: Callable[[Path], object]) -> None:
@@ -64,13 +62,12 @@ def atomic_files(folder: Path, names: Sequence[str], fill: Callable[[Path], obje
         folder.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=PREFIX, suffix=SUFFIX, dir=folder))
     try:
-        with disk_errors(folder):
+        with gone_at_the_end(temporary), disk_errors(folder):
             fill(temporary)
             for name in names:
                 (temporary / name).replace(folder / name)
             _sync_folder(folder)
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
         if not was_there:
             with suppress(OSError):  # only an empty one goes
                 folder.rmdir()
