@@ -86,6 +86,6 @@ def test_a_file_can_make_nothing_but_our_dataclasses(tree: Any) -> None:
 def test_every_field_of_what_stages_exchange_is_kept() -> None:
     tree, arrays = encode(registration())
     (name, state) = tree["object"]
-    assert name == "skymoor.types:Registration"
+    assert name == "skymoor.types.registrations:Registration"
     assert set(state) == {item.name for item in fields(Registration)}
     assert is_dataclass(decode(tree, arrays))
