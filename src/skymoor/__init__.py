@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from skymoor.errors import BackendUnavailable, InputError, SkymoorError
     from skymoor.match.rasters import nadir_raster, reference_raster
     from skymoor.model.views import render_nadir
+    from skymoor.pipeline.stopping import StoppedAfter
     from skymoor.reference.read import read_reference
     from skymoor.registration import lift
     from skymoor.registration import register as register_matches
@@ -35,6 +36,7 @@ _HOMES = {
     "RasterMatch": "api",
     "Result": "results.read",
     "SkymoorError": "errors",
+    "StoppedAfter": "pipeline.stopping",
     "fetch_reference": "sources.fetch",
     "level_component": "api",
     "lift": "registration.lift",
@@ -60,6 +62,7 @@ __all__ = [
     "RasterMatch",
     "Result",
     "SkymoorError",
+    "StoppedAfter",
     "__version__",
     "fetch_reference",
     "level_component",

@@ -28,10 +28,11 @@ from skymoor.pipeline.options import Options, check_engines
 from skymoor.pipeline.photo_sets import find_sets, notes_of, sizes_of
 from skymoor.pipeline.prior import SearchPrior
 from skymoor.pipeline.provenance import provenance
-from skymoor.pipeline.register_sets import register_sets
+from skymoor.pipeline.register_sets import register_sets, stop_sets
 from skymoor.pipeline.site import Site, load_site, site_from_arguments, site_on_run
 from skymoor.pipeline.site_control import control_with_arguments
 from skymoor.pipeline.site_values import site_file
+from skymoor.pipeline.stopping import STEPS, StopAfter
 from skymoor.reference.read import read_reference
 from skymoor.registration.significance import false_alarm_probability
 from skymoor.results.changes import write_changes
@@ -72,6 +73,7 @@ def register(
     use_control: bool = False,
     options: Mapping[str, object] | None = None,
     seed: int = 0,
+    stop_after: StopAfter | None = None,
     progress: StageProgress = ignore,
     note: Callable[[str], None] = ignore,
     planned: Callable[[Sequence[Step]], None] = ignore,
@@ -106,6 +108,8 @@ def register(
         use_control: move models onto it; otherwise they are compared with it.
         options: by dotted names or nested, such as {"match.max_height_m": 150}; they overrule those of the site.
         seed: makes a run repeatable.
+        stop_after: the last step to do: "reconstruct", "depth" or "search"; the same call without it goes on from
+            there. Products of an earlier run in `out` stay.
         progress: called with the name of a stage, steps done and in all, and now and then a line: progress("search",
             3, 40). `note` is called with one line for each irregularity.
         planned: called once, when the input is read, with the steps to come and about how long each takes.
@@ -116,7 +120,10 @@ def register(
     Raises:
         InputError: data or options are wrong; one line names the file and the remedy.
         BackendUnavailable: an optional engine was chosen that is not installed, or whose weights are not here.
+        StoppedAfter: the run has come to the end of the step `stop_after`; there is no result yet.
     """
+    if stop_after is not None and stop_after not in STEPS:
+        raise InputError(f"stop_after={stop_after!r}: give one of {', '.join(STEPS)}")
     reference: dict[str, Any] = {"ortho": ortho, "dsm": dsm, "vertical_datum": vertical_datum}
     reference |= {"ce90": ce90, "le90": le90, "accuracy": accuracy, "reference_run": reference_run}
     loaded = site_of(site, airborne=airborne, ground=ground, **reference)
@@ -130,6 +137,8 @@ def register(
     with Store.open(Path(out), note=note) as store, logged(store.path("run.log")):
         loaded = with_files(loaded, store.root, partial(track_stage, progress), note)
         jobs = jobs_of(loaded, sets, chosen, store, seed, progress, note)
+        if stop_after is not None:
+            stop_sets(stop_after, loaded, jobs, note)
         planned(estimate_jobs(jobs))
         results = register_sets(loaded, jobs, note)
         found = [

@@ -65,6 +65,22 @@ def test_a_killed_worker_loses_no_site(sites: Path, cluster: object, tmp_path: P
         assert (out / f"site{k}/report.html").is_file()
 
 
+def test_workers_send_results_to_a_store_that_all_see(
+    sites: Path, cluster: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    address = cluster.scheduler_address  # type: ignore[attr-defined]
+    command = ["batch", str(sites), "--scheduler", address, "--stop-after", "reconstruct", "--quiet", "--out"]
+    assert main([*command, f"file://{tmp_path}/out"]) == 0
+    state = json.loads((tmp_path / "out/batch.json").read_text())
+    assert [one["verdict"] for one in state["sites"]] == ["STOPPED"] * COUNT
+    for k in range(COUNT):
+        assert list((tmp_path / f"out/site{k}/stages").glob("reconstruct-*.npz"))
+    capsys.readouterr()
+    assert main([*command, "memory://out"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "memory://out" in line and "workers do not see the memory of this process" in line
+
+
 def test_a_lost_scheduler_is_told_and_the_same_command_goes_on(sites: Path, tmp_path: Path) -> None:
     options = {"processes": True, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
     tasks = find_sites([sites], tmp_path / "out")

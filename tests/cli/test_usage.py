@@ -28,6 +28,11 @@ from support.tiny_site import SITE, make_site
         ("evaluate r", "evaluate: --truth PATH is missing; skymoor evaluate --help explains it"),
         ("run --out r --seed x", "run: --seed 'x' must be a whole number; skymoor run --help explains it"),
         ("run --out r --ce90 x", "run: --ce90 'x' must be a number; skymoor run --help explains it"),
+        (
+            "run --out r --stop-after x",
+            "run: --stop-after 'x' must be depth, reconstruct or search; skymoor run --help explains it",
+        ),
+        ("run --out r --accuracy x", "run: --accuracy 'x' must be unknown; skymoor run --help explains it"),
         ("run a b --out c", "run: not understood: b; skymoor run --help explains it"),
         ("weights", "weights: Expected one of {list, fetch}; skymoor weights --help explains it"),
     ],

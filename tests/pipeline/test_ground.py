@@ -19,6 +19,7 @@ from skymoor.pipeline.engines import Engines
 from skymoor.pipeline.ground import register_ground_sets
 from skymoor.pipeline.job import ComponentResult, Job
 from skymoor.pipeline.options import GroundChoices, Options
+from skymoor.pipeline.stopping import StoppedAfter
 from skymoor.store import Store
 from skymoor.types import Component, DepthMap, Photos, Registration, Render, View, no_progress
 from support.tile_world import PICTURES, TileOracle, TileWorld, floated
@@ -120,6 +121,29 @@ def test_without_an_airborne_component_all_are_refused(
     assert [item.registration.registered for item in found] == [False, False]
     assert "no registered airborne component" in found[0].registration.reason
     assert register_ground_sets([], [], photos_of(stubbed[2])) == []
+
+
+@pytest.mark.parametrize(("step", "measured"), [("reconstruct", 0), ("depth", 2), ("search", 2)])
+def test_a_run_that_stops_comes_as_far_as_it_can_without_an_airborne_one(
+    step: Any,
+    measured: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stubbed: tuple[list[DepthMap], Similarity, TileWorld],
+) -> None:
+    maps, _, world = stubbed
+    densified: list[str] = []
+
+    def densify(name: str, _: Component, job: Job, *__: object) -> list[DepthMap]:
+        densified.append(name)
+        job.end_of("depth")
+        return maps
+
+    monkeypatch.setattr(pipeline_ground, "densify_component", densify)
+    with Store.open(tmp_path) as store:
+        (found,) = register_ground_sets([replace(ground_job(store), stop_after=step)], [], photos_of(world))
+    assert [item.registration.reason for item in found] == [str(StoppedAfter(step))] * 2
+    assert len(densified) == measured
 
 
 def test_an_error_in_one_component_refuses_that_one(

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 from typing import Any
 
+from skymoor.batch.remote import Address
 from skymoor.batch.sites import FAILED, Outcome, SiteTask
 from skymoor.batch.work import run_site
 from skymoor.engines.libraries import require
@@ -27,14 +28,17 @@ def run_on_cluster(
 
     Args:
         address: of the scheduler, such as tcp://10.0.0.1:8786.
-        tasks: the sites; they and their folders must be seen by all workers under the same paths.
+        tasks: the sites; they and their folders must be seen by all workers under the same paths or addresses.
         arguments, memory_gb: as in `run_site`.
 
     Raises:
         BackendUnavailable: Dask is not installed.
-        InputError: no scheduler answers.
+        InputError: no scheduler answers, or workers do not see the folders.
         ClusterLost: it no longer does.
     """
+    for task in tasks:
+        if isinstance(task.out, Address) and task.out.in_memory:
+            raise InputError(f"{task.out}: workers do not see the memory of this process; give a store that all see")
     distributed = require("distributed", "dask")
     try:
         client = distributed.Client(address, timeout=CONNECT_S)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.resources import files
@@ -13,35 +12,44 @@ from pathlib import Path
 from jinja2 import Environment
 
 from skymoor import __version__
+from skymoor.batch.remote import Address, send_bytes
 from skymoor.batch.sites import Outcome, SiteTask
 from skymoor.results.report.write import PAGE
 from skymoor.store import atomic_file
 
 
-def write_state(out: Path, tasks: Sequence[SiteTask], outcomes: Sequence[Outcome]) -> Path:
-    """Write batch.json and batch.html, each whole or not at all; returns the page."""
+def write_state(out: Path | Address, tasks: Sequence[SiteTask], outcomes: Sequence[Outcome]) -> Path | Address:
+    """Write batch.json and batch.html, each whole or not at all; returns the page.
+
+    Raises `InputError` where they cannot be written.
+    """
     ended = sorted(outcomes, key=lambda one: one.name)
     names = {one.name for one in ended}
     waiting = [task.name for task in tasks if task.name not in names]
     rows = [{**asdict(one), "out": str(one.out), "verdict": one.verdict} for one in ended]
-    with atomic_file(out / "batch.json") as file:
-        file.write(json.dumps({"skymoor": __version__, "sites": rows, "waiting": waiting}, indent=1).encode())
+    _write(out / "batch.json", json.dumps({"skymoor": __version__, "sites": rows, "waiting": waiting}, indent=1))
     for row, one in zip(rows, ended, strict=True):
-        row["report"] = os.path.relpath(one.out / PAGE, out.resolve()) if (one.out / PAGE).is_file() else ""
+        row["report"] = f"{one.name}/{PAGE}" if one.report else ""
     template = (files("skymoor.batch") / "page.html.j2").read_text(encoding="utf-8")
     page = Environment(autoescape=True).from_string(template)
     style = (files("skymoor.results.report") / "page.css").read_text(encoding="utf-8")
-    with atomic_file(out / "batch.html") as file:
-        file.write(
-            page.render(
-                title=out.resolve().name,
-                style=style,
-                ended=rows,
-                waiting=waiting,
-                count=len(tasks),
-                registered=sum(one.verdict == "REGISTERED" for one in ended),
-                placed=sum(one.placed for one in ended),
-                photos=sum(one.photos for one in ended),
-            ).encode()
-        )
+    text = page.render(
+        title=Path(out).resolve().name,
+        style=style,
+        ended=rows,
+        waiting=waiting,
+        count=len(tasks),
+        registered=sum(one.verdict == "REGISTERED" for one in ended),
+        placed=sum(one.placed for one in ended),
+        photos=sum(one.photos for one in ended),
+    )
+    _write(out / "batch.html", text)
     return out / "batch.html"
+
+
+def _write(target: Path | Address, text: str) -> None:
+    if isinstance(target, Address):
+        send_bytes(text.encode(), target)
+        return
+    with atomic_file(target) as file:
+        file.write(text.encode())

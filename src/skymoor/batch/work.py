@@ -11,7 +11,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from skymoor.batch.remote import folder_of
 from skymoor.batch.sites import BAD_INPUT, LOG, Outcome, SiteTask, outcome_of
+from skymoor.errors import BackendUnavailable, InputError
 
 IN_USE = "another run is writing here"  # what a run says of a folder that is locked
 RETRIES, WAIT_S = 6, 5.0  # a lost worker's process ends within seconds
@@ -42,20 +44,29 @@ def run_site(
         if not task.toml.is_file():
             reason = f"{task.toml}: is not seen from {host}; sites and --out must lie where all workers see them"
             return Outcome(task.name, task.out, BAD_INPUT, 0.0, message=reason, host=host)
-        task.out.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, "-m", "skymoor.batch.limited", str(memory_gb or 0), "run", str(task.toml)]
-        command += ["--out", str(task.out), "--quiet", *arguments]
+        command += ["--quiet", *arguments, *(("--stop-after", task.stop_after) if task.stop_after else ())]
         environment = {**os.environ, **({"OMP_NUM_THREADS": str(threads)} if threads else {})}
-        for _ in range(RETRIES):
-            status = _ended(command, task.out / LOG, environment)
-            last = _last_line(task.out / LOG)
-            if status != BAD_INPUT or IN_USE not in last:
-                break
-            time.sleep(WAIT_S)
-        return outcome_of(task, status, time.monotonic() - start, last if status == BAD_INPUT else "", host)
+        with folder_of(task.out) as folder:
+            status, last = _run_in(folder, command, environment)
+            outcome = outcome_of(task, folder, status, time.monotonic() - start, last, host)
+        return outcome
     except OSError as error:
         message = f"{error.filename or task.out}: {error.strerror or error}"
-        return Outcome(task.name, task.out, BAD_INPUT, time.monotonic() - start, message=message, host=host)
+    except (InputError, BackendUnavailable) as error:  # of the store
+        message = str(error)
+    return Outcome(task.name, task.out, BAD_INPUT, time.monotonic() - start, message=message, host=host)
+
+
+def _run_in(folder: Path, command: Sequence[str], environment: dict[str, str]) -> tuple[int, str]:
+    """Exit status of a run whose results go to a folder, and the line that says what is wrong with its input."""
+    for _ in range(RETRIES):
+        status = _ended([*command, "--out", str(folder)], folder / LOG, environment)
+        last = _last_line(folder / LOG)
+        if status != BAD_INPUT or IN_USE not in last:
+            break
+        time.sleep(WAIT_S)
+    return status, last if status == BAD_INPUT else ""
 
 
 def _ended(command: Sequence[str], log: Path, environment: dict[str, str]) -> int:

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from skymoor.cli.short import Out, Quiet, Verbose
+from skymoor.pipeline.stopping import StopAfter
 from skymoor.simulate.options import SiteOptions
 
 
@@ -85,6 +86,9 @@ class Run:
     """Exit with 3 also where a component is registered but its heights are not confirmed."""
     seed: int = 0
     """Makes a run repeatable."""
+    stop_after: StopAfter | None = None
+    """End after a step; the same command without it goes on from there: reconstruct (models of all photos), depth (also
+    depth maps), search (also where in the reference the models may lie)."""
     quiet: Quiet = False
     """Plain lines in place of progress bars."""
     verbose: Verbose = False
@@ -126,44 +130,6 @@ class Reference:
     """Plain lines in place of progress bars."""
     verbose: Verbose = False
     """Also show what goes to the log."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Batch:
-    """Run many sites, each in a process of its own, on this machine or on a Dask cluster.
-
-    For example:
-
-    skymoor batch sites/* --out results --workers 4 --memory 8
-
-    skymoor batch sites/* --out /shared/results --scheduler tcp://10.0.0.1:8786
-
-    The same command again continues where it stopped. Exit status: 0 all sites are registered, 3 some are not, 2 some
-    have wrong input, 1 some failed.
-    """
-
-    sites: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """site.toml files, folders that have one, or folders of such folders."""
-    out: Out
-    """Folder for the results: one folder for each site, batch.json and batch.html."""
-    workers: int = 1
-    """Sites at a time on this machine."""
-    memory: float | None = None
-    """Most memory of one site, in gigabytes; one that needs more fails, and only it."""
-    scheduler: str | None = None
-    """Address of a Dask scheduler whose workers see the sites and --out under the same paths; needs skymoor[dask]."""
-    only: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A site by the name of its folder; may be repeated."""
-    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """An option of all sites by its dotted name; may be repeated."""
-    seed: int = 0
-    """Makes runs repeatable."""
-    quiet: Quiet = False
-    """Plain lines in place of progress bars."""
-    verbose: Verbose = False
-    """Also show what goes to the log."""
-    json: bool = False
-    """For scripts: the outcomes as JSON on stdout, all else on stderr."""
 
 
 @dataclass(frozen=True)

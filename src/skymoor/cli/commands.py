@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 
 from skymoor.cli.arguments import (
-    Batch,
     Clean,
     Demo,
     Evaluate,
@@ -18,7 +17,6 @@ from skymoor.cli.arguments import (
     Simulate,
     View,
 )
-from skymoor.cli.interrupt import AT_STOP
 from skymoor.cli.progress import Screen
 from skymoor.cli.register_arguments import Register
 from skymoor.pipeline.words import size_in_words
@@ -47,6 +45,7 @@ def run(command: Run) -> bool:
     from skymoor.pipeline.option_parser import parse_option
     from skymoor.pipeline.prior import SearchPrior
     from skymoor.pipeline.site_control import control_with_arguments
+    from skymoor.pipeline.stopping import StoppedAfter
     from skymoor.results.ask.answer import ANSWERS
 
     options = dict(map(parse_option, command.set))
@@ -80,15 +79,21 @@ def run(command: Run) -> bool:
             screen.note("nothing was written; leave out --dry-run to begin")
             screen.answer({"steps": steps})
             return True
-        result = api.register(
-            site,
-            out=command.out,
-            options=options,
-            seed=command.seed,
-            progress=screen.progress,
-            note=screen.note,
-            planned=screen.begin,
-        )
+        try:
+            result = api.register(
+                site,
+                out=command.out,
+                options=options,
+                seed=command.seed,
+                stop_after=command.stop_after,
+                progress=screen.progress,
+                note=screen.note,
+                planned=screen.begin,
+            )
+        except StoppedAfter as stop:
+            screen.note(str(stop))
+            screen.answer({"out": command.out.resolve(), "stopped_after": stop.step})
+            return True
         show_result(screen, result)
     return result.registered and (result.heights_confirmed or not command.require_heights)
 
@@ -128,39 +133,6 @@ def register(command: Register) -> bool:
         if result.registered:
             screen.note(f"the model's own files, moved: {command.out / PLACED}")
     return result.registered and (result.heights_confirmed or not command.require_heights)
-
-
-def batch(command: Batch) -> int:
-    """`skymoor batch`; returns the exit status, the worst of the sites."""
-    from skymoor.batch.cluster import run_on_cluster
-    from skymoor.batch.local import run_here
-    from skymoor.batch.page import write_state
-    from skymoor.batch.sites import exit_status_of, find_sites
-    from skymoor.batch.work import pass_on
-    from skymoor.cli.tables import outcomes_table
-    from skymoor.errors import InputError
-
-    if command.workers < 1:
-        raise InputError(f"--workers {command.workers}: give at least 1")
-    tasks = find_sites(command.sites, command.out, command.only)
-    arguments = ["--seed", str(command.seed), *(word for one in command.set for word in ("--set", one))]
-    AT_STOP.append(pass_on)
-    with Screen(plain=command.quiet, for_scripts=command.json, verbose=command.verbose) as screen:
-        page, outcomes, track = write_state(command.out, tasks, []), [], screen.track("sites")
-        track(0, len(tasks))
-        if command.scheduler:
-            ended = run_on_cluster(command.scheduler, tasks, arguments, memory_gb=command.memory)
-        else:
-            ended = run_here(tasks, arguments, workers=command.workers, memory_gb=command.memory)
-        for outcome in ended:
-            outcomes.append(outcome)
-            write_state(command.out, tasks, outcomes)
-            screen.note(f"{outcome.name}: {outcome.verdict}{'; ' if outcome.message else ''}{outcome.message}")
-            track(len(outcomes), len(tasks), outcome.name)
-        screen.show(outcomes_table(outcomes))
-        screen.note(f"results in {command.out}; to read: {page}")
-        screen.answer({"sites": outcomes})
-    return exit_status_of(outcomes)
 
 
 def evaluate(command: Evaluate) -> None:

@@ -16,7 +16,6 @@ import tyro
 
 from skymoor import __version__
 from skymoor.cli.arguments import (
-    Batch,
     Bench,
     Clean,
     Demo,
@@ -29,6 +28,7 @@ from skymoor.cli.arguments import (
     Simulate,
     View,
 )
+from skymoor.cli.batch_arguments import Batch
 from skymoor.cli.guide_arguments import Ask, Init
 from skymoor.cli.interrupt import GRACE_S, STOPPED, STOPPING, Stopped, cpu_limit_told, interruptible
 from skymoor.cli.limits import no_memory, require_address_space
@@ -149,11 +149,11 @@ def _done(chosen: Any) -> int:
     if isinstance(chosen, Help):
         _require_command(chosen.command or "help")  # without one, main has answered
         return main([chosen.command or "help", "--help"])
-    from skymoor.cli import commands, guide, machine
+    from skymoor.cli import batch, commands, guide, machine
 
     actions: dict[type, Callable[[Any], bool | int | None]] = {
         Ask: guide.ask,
-        Batch: commands.batch,
+        Batch: batch.batch,
         Bench: machine.bench,
         Clean: commands.clean,
         Demo: commands.demo,

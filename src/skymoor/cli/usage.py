@@ -63,6 +63,10 @@ def _told(box: str) -> str:
         return f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
     ends = [k for k, line in enumerate(texts) if line.startswith(ENDS)]
     text = " ".join(texts[: min(ends, default=len(texts))]).rstrip(".") or title
+    choice = re.match(r"invalid choice ('.*') for argument '(\S+)'. Expected one of \((.*)\)$", text)
+    if choice is not None:
+        *names, last = sorted(set(re.findall(r"'([^']*)'", choice[3])) - {"None"})
+        return f"{choice[2]} {choice[1]} must be {', '.join(names)}{' or ' if names else ''}{last}"
     wrong = re.match(r"Error parsing (\S+):.*?('[^']*')?$", text)
     if wrong is not None:
         kind = next((line for line in texts if line.startswith(f"{wrong[1]} ")), "").partition(" ")[2]

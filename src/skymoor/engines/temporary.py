@@ -33,9 +33,15 @@ def temporary_folder(parent: Path | None = None, prefix: str = "skymoor-") -> It
         yield folder
 
 
+def is_kept(folder: Path) -> bool:
+    """Whether a folder is whole whose block goes on: the end of the process has not begun to remove it."""
+    return folder in OPEN
+
+
 def remove_temporary() -> None:
     """Remove what blocks would that will not end, because the process does."""
     for path in tuple(OPEN):
+        OPEN.discard(path)  # first: who works there can tell what is missing from what was removed
         for _ in range(3):  # a thread that still writes there may add a file while others are deleted
             _remove(path)
             if not path.exists():

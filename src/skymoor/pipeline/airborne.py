@@ -82,6 +82,7 @@ def register_component(name: str, component: Component, job: Job) -> ComponentRe
 
 def _register(name: str, component: Component, job: Job, before: ComponentResult | None = None) -> ComponentResult:
     """Register a component, or refuse it; where it was `before`, with another focal length, from the same places."""
+    job.end_of("reconstruct")
     options, store = job.options, job.store
     try:
         ground = ground_of(name, component, options.engines.labeler(options.orient.labels), job)
@@ -97,6 +98,7 @@ def _register(name: str, component: Component, job: Job, before: ComponentResult
     except DegenerateGeometry as error:
         return refused(name, component, or_too_few(str(error), len(component.cameras)))
     searched = _search(name, level, render, job) if before is None else _search_again(name, level, render, before, job)
+    job.end_of("search")
     if not searched.hypotheses:
         none = Registration(registered=False, reason="", enu_from_level=None)
         nothing = with_criteria(none, [criterion("map_hypotheses", 0, 1)])
@@ -114,6 +116,7 @@ def densify_component(name: str, level: Component, job: Job, estimator: DepthEst
     depths = job.store.parts(f"{name}.depths", estimator, level, job.photos, progress=progress)
     if not depths:
         raise DegenerateGeometry("no photo has a partner to measure depth with")
+    job.end_of("depth")
     return depths
 
 

@@ -160,9 +160,10 @@ def _renders(base: ComponentResult, job: Job) -> list[Render]:
 
 def _level(name: str, component: Component, target: _Airborne | MapTarget | None, job: Job) -> ComponentResult:
     """A ground component, levelled and with depth maps, not registered yet; without depth maps where a step failed."""
+    job.end_of("reconstruct")
     options, engines = job.options.ground, job.options.engines
     try:
-        if target is None:
+        if target is None and not job.stop_after:  # a run that stops has not placed the airborne ones yet
             raise DegenerateGeometry("there is no registered airborne component to register it to")
         ground = ground_of(name, component, engines.labeler(options.labels), job)
         gravity = estimate_ground_gravity(component, job.photos, ground=ground)
@@ -172,6 +173,8 @@ def _level(name: str, component: Component, target: _Airborne | MapTarget | None
         depths = list(densify_component(name, level, job, engines.stereo(options.densify)))
     except DegenerateGeometry as error:
         return refused(name, component, str(error))
+    if target is None:
+        job.end_of("search")
     found = refused(name, level, "not searched yet")
     base = target.base if isinstance(target, _Airborne) else None
     found = replace(found, level_from_sfm=level_from_sfm, gravity=gravity, depths=depths, base=base)
@@ -198,7 +201,9 @@ def _of_size(options: T, item: ComponentResult) -> T:
 def _search(item: ComponentResult, target: _Airborne | MapTarget, job: Job) -> Hypotheses:
     """Hypotheses of a component: on the reference, or by the chosen method on the airborne model."""
     if isinstance(target, MapTarget):
-        return _search_map(item, target, job)
+        found = _search_map(item, target, job)
+        job.end_of("search")
+        return found
     if job.options.ground.method != "walls":
         return _search_tiles(item, target, job)
     return _search_walls(item, target, job)

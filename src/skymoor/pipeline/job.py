@@ -21,6 +21,7 @@ from skymoor.model import SceneModel
 from skymoor.pipeline.options import Options
 from skymoor.pipeline.prior import Heading
 from skymoor.pipeline.search import MapFiles
+from skymoor.pipeline.stopping import StopAfter, StoppedAfter
 from skymoor.registration import NullSample
 from skymoor.store import Store
 from skymoor.types import (
@@ -52,7 +53,7 @@ class Job:
 
     `track` gives the progress callback of a stage, by its name; `features` those of the reference, found when they are
     first asked for; `files` are orthophoto, DSM and vertical datum that it was read from, and `heading` what somebody
-    knows of the photos' directions.
+    knows of the photos' directions. `stop_after` is the last step to do; None for all.
     """
 
     photos: Photos
@@ -65,6 +66,12 @@ class Job:
     files: MapFiles | None = None
     heading: Heading | None = None
     features: Callable[[], Features] = Features.none
+    stop_after: StopAfter | None = None
+
+    def end_of(self, step: StopAfter) -> None:
+        """Raise `StoppedAfter` where this was the last step to do: for its component, which `or_else` then leaves."""
+        if step == self.stop_after:
+            raise StoppedAfter(step)
 
 
 @dataclass(frozen=True)
@@ -199,7 +206,8 @@ def or_else(action: Callable[[], T], otherwise: Callable[[str], T], what: str) -
     """The result of `action`; where it fails unexpectedly, that of `otherwise`, which is given the reason.
 
     An error in one component must not cost the results of the others: it is logged with its traceback. What ends the
-    run all the same are wrong input, a missing engine, a full disk or memory, and the user's interrupt.
+    run all the same are wrong input, a missing engine, a full disk or memory, and the user's interrupt. A component
+    that stops after the step that was asked for is left there, so that the others come to the same step.
 
     Args:
         action: the work.
@@ -208,6 +216,8 @@ def or_else(action: Callable[[], T], otherwise: Callable[[str], T], what: str) -
     """
     try:
         return action()
+    except StoppedAfter as stop:
+        return otherwise(str(stop))
     except (InputError, BackendUnavailable, OSError, MemoryError):
         raise
     except Exception as error:

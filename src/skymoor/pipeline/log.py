@@ -15,6 +15,7 @@ from typing import TextIO
 
 from skymoor import __version__
 from skymoor.errors import SkymoorError
+from skymoor.pipeline.stopping import StoppedAfter
 
 LOG = logging.getLogger("skymoor")
 FORMAT = "%(asctime)s %(levelname)s %(message)s"
@@ -96,6 +97,9 @@ def _end_logged() -> Iterator[None]:
         LOG.info("done")
     except KeyboardInterrupt:
         LOG.warning("stopped by the user")
+        raise
+    except StoppedAfter as stop:
+        LOG.info("%s", stop)
         raise
     except SkymoorError as error:
         LOG.error("%s", error)  # says all there is to say

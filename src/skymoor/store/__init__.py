@@ -2,10 +2,11 @@
 """The disk: the run directory with its cache and products, folders of photos, tables. No other module knows files."""
 
 from skymoor.store._atomic import atomic_file, atomic_files, atomic_folder
-from skymoor.store._cache import read_stage
+from skymoor.store._cache import STAGES, read_stage
 from skymoor.store._closure import defining_modules, fingerprint, import_closure
 from skymoor.store._digest import digest
 from skymoor.store._kept import Kept
+from skymoor.store._lock import LOCK
 from skymoor.store._marks import FETCHED, FRAMES, PRODUCTS, is_run
 from skymoor.store._plain import plain
 from skymoor.store._run import FROM_CACHE, StageRecord, Store
@@ -28,7 +29,9 @@ __all__ = [
     "FETCHED",
     "FRAMES",
     "FROM_CACHE",
+    "LOCK",
     "PRODUCTS",
+    "STAGES",
     "FoundFiles",
     "Kept",
     "PhotoFile",
