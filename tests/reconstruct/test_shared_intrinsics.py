@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from skymoor.engines.colmap import colmap_from_component
 from skymoor.geometry import umeyama
 from skymoor.reconstruct import IntrinsicsOptions
-from skymoor.reconstruct.calibration import adjust
+from skymoor.reconstruct.calibration import adjust, calibrate
 from skymoor.reconstruct.shared_intrinsics import (
     _regrouped,
     group_intrinsics,
@@ -161,3 +161,4 @@ def test_photos_of_impossible_intrinsics_are_left_out(focal_px: float) -> None:
     model.camera(lost.camera_id).params = params
     left = without_impossible(model)
     assert {left.image(i).name for i in left.reg_image_ids()} == names - {lost.name}
+    assert np.isfinite(calibrate(left).focal_sigma_ratio)

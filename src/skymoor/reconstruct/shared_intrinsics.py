@@ -18,6 +18,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from skymoor.engines.colmap import component_from_colmap, intrinsics_of
+from skymoor.engines.temporary import temporary_folder
 from skymoor.reconstruct.calibration import adjust, focal_sigmas
 from skymoor.types import Array, Mask
 
@@ -102,11 +103,17 @@ def without_impossible(model: pycolmap.Reconstruction) -> pycolmap.Reconstructio
 
     COLMAP's last adjustment may leave such photos after divergence; they cannot be used in computations.
     """
+    before = model.num_reg_images()
     for camera_id, users in _users(model).items():
         if model.camera(camera_id).has_bogus_params(*COLMAP_FOCAL_WIDTHS, np.inf):
             for i in users:
                 model.deregister_frame(model.image(i).frame_id)
-    return model
+    if model.num_reg_images() == before:
+        return model
+    # Images that are no longer registered would make the covariance of the adjustment fail; files leave them out.
+    with temporary_folder() as folder:
+        model.write(folder)
+        return pycolmap.Reconstruction(folder)
 
 
 def without_doubtful(model: pycolmap.Reconstruction, options: IntrinsicsOptions) -> pycolmap.Reconstruction:
