@@ -5,44 +5,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skymoor.errors import DegenerateGeometry, TooFewMatches
 from skymoor.geometry import Similarity
-from skymoor.ground.plan_view import PlanScores, plan_model, search_plan
+from skymoor.ground.plan_view import search_plan
 from skymoor.ground.surface import surface_of
 from skymoor.ground.wall_planes import Wall, find_walls
+from skymoor.ground.walls.agreement import PoseAgreement, plan_scores_of
 from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions, transformed_depth_map
-from skymoor.ground.walls.consensus import RefinedHypothesis, agreement_in_both, unusual_height
+from skymoor.ground.walls.consensus import RefinedHypothesis
 from skymoor.ground.walls.dense import photo_matches, wall_matches
-from skymoor.ground.walls.facade_pairs import FacadePair, pair_facades
-from skymoor.ground.walls.facade_search import agreement_of_channels, search_facades
-from skymoor.ground.walls.facades import Facade, facade_of, set_back, similarity_between
+from skymoor.ground.walls.facade_pairs import pair_facades
+from skymoor.ground.walls.facade_search import search_facades
+from skymoor.ground.walls.facades import Facade, facade_of, similarity_between
 from skymoor.ground.walls.key_points import agreeing_cells
 from skymoor.ground.walls.pool import WallHypothesis
 from skymoor.ground.walls.refine import RefineOptions, perturbed, refine_pose, turned
-from skymoor.ground.walls.shifts import PoseEvidence, WallPictures, best_shift
+from skymoor.ground.walls.shifts import best_shift
 from skymoor.ground.walls.visibility import ViewRays, check_visibility, view_rays_of
-from skymoor.match.channels import make_channels
-from skymoor.match.correlate import Target
 from skymoor.registration import independent_cells, register, restated, with_covariance_of
 from skymoor.types import Array, DepthMap, Matches3D, Progress, Registration
 
 HEIGHTS_M = (1.0, 1.7, 2.4, 3.2, 4.2, 5.5)  # of cameras above the ground, tried; the refinement closes the gaps
 
 AHEAD = 4.0  # level units, which are camera heights: as far as walls usually are
-
-
-def _plan_of(
-    maps_level: Sequence[DepthMap], airborne: AirborneWalls, options: GroundOptions, rng: np.random.Generator
-) -> PlanScores | None:
-    """The component in plan; None where it shows nothing steep."""
-    try:
-        return PlanScores(plan_model(maps_level, rng=rng), airborne.plan, options.plan.score)
-    except DegenerateGeometry:
-        return None
 
 
 def view_probes(maps: Sequence[DepthMap]) -> Array:
@@ -68,9 +57,7 @@ class ComponentSearch:
     airborne: AirborneWalls
     options: GroundOptions
     rng: np.random.Generator
-    plan: PlanScores | None
-    _targets: dict[tuple[float, ...], Target] = field(default_factory=dict)
-    _set_back: dict[float, list[Facade]] = field(default_factory=dict)
+    agreement: PoseAgreement
 
     @classmethod
     def of(
@@ -84,9 +71,10 @@ class ComponentSearch:
         maps = [transformed_depth_map(depth_map, metric_from_level) for depth_map in maps_level]
         walls = find_walls(surface_of(maps, stride=2), options.walls, rng=rng)
         facades = [facade_of(wall, maps, options.ground_pixel_m, options.ground_facades) for wall in walls]
-        plan = _plan_of(maps_level, airborne, options, rng)
+        plan = plan_scores_of(maps_level, airborne, options, rng)
         rays = view_rays_of(maps, rng=rng)
-        return cls(maps_level, metric_from_level, maps, facades, rays, airborne, options, rng, plan)
+        agreement = PoseAgreement(maps, metric_from_level, plan, airborne, options)
+        return cls(maps_level, metric_from_level, maps, facades, rays, airborne, options, rng, agreement)
 
     def rescaled(self, factor: float) -> ComponentSearch:
         """The same component, `factor` times as large, with the walls that are found at that size."""
@@ -146,27 +134,22 @@ class ComponentSearch:
     def plan_hypotheses(self, progress: Progress) -> list[RefinedHypothesis]:
         """Hypotheses of the search in plan at that camera height with which all photos agree best, best first."""
         nothing = Registration(registered=False, reason="no dense matches", enu_from_level=None)
-        if self.plan is None:
+        plan = self.agreement.plan
+        if plan is None:
             return []
         limits = replace(self.options.plan, min_scale=self.options.min_scale, max_scale=self.options.max_scale)
         found = []
-        for one in search_plan(self.plan.model, self.plan.target, limits, progress=progress):
+        for one in search_plan(plan.model, plan.target, limits, progress=progress):
             flat = one.enu_from_level @ self.metric_from_level.inverse()
             trials = [self._standing(flat, height) for height in HEIGHTS_M]
-            best = max(trials, key=lambda trial: self._agreement(trial)[1])
+            best = max(trials, key=lambda trial: self.agreement.on_walls(trial)[1])
             found.append(self._scored(WallHypothesis(best, -1, -1, one.score, 0), nothing, best, cells=0))
         return sorted(found, key=lambda hypothesis: -hypothesis.score)
 
     def _standing(self, enu_from_metric: Similarity, height_m: float) -> Similarity:
         """The similarity raised so that the cameras are so high above the ground (median)."""
-        gap = np.nan_to_num(self._height_above_ground(enu_from_metric))
+        gap = np.nan_to_num(self.agreement.height_above_ground(enu_from_metric))
         return Similarity(1.0, np.eye(3), np.array([0.0, 0.0, height_m - gap])) @ enu_from_metric
-
-    def _height_above_ground(self, enu_from_metric: Similarity) -> float:
-        """Of the cameras (median); NaN where the ground is not known."""
-        centres = enu_from_metric.apply(np.array([depth_map.camera.centre for depth_map in self.maps]))
-        above = centres[:, 2] - self.airborne.heights.ground_at(centres[:, :2])
-        return float(np.nanmedian(above)) if np.isfinite(above).any() else float("nan")
 
     def refined_by_walls(self, origin: WallHypothesis) -> RefinedHypothesis:
         """The hypothesis, or its fit to dense matches of the walls if all photos agree better with that."""
@@ -193,7 +176,7 @@ class ComponentSearch:
         """
         start = hypothesis.enu_from_level
         pivot = start.apply(self.rays.ends.reshape(-1, 3)).mean(axis=0)
-        best = refine_pose(start, pivot, self._agreement_of_pose, options)
+        best = refine_pose(start, pivot, self.agreement.of_all, options)
         return self._scored(hypothesis.origin, hypothesis.registration, best, hypothesis.cells)
 
     def shifted(self, hypothesis: RefinedHypothesis) -> RefinedHypothesis:
@@ -202,34 +185,14 @@ class ComponentSearch:
         trials = [hypothesis]
         for degrees in self.options.rotations_deg:
             start = turned(hypothesis.enu_from_level, pivot, np.radians(degrees))
-            moved = Similarity(1.0, np.eye(3), best_shift(self._evidence(start), self.options.shifts)) @ start
+            moved = Similarity(1.0, np.eye(3), best_shift(self.agreement.of_shifts(start), self.options.shifts)) @ start
             trials.append(self._scored(hypothesis.origin, hypothesis.registration, moved, hypothesis.cells))
         return max(trials, key=lambda one: one.fit)
-
-    def _evidence(self, enu_from_metric: Similarity) -> PoseEvidence:
-        """What shifts of a pose are compared by."""
-        height = self._height_above_ground(enu_from_metric)
-        return PoseEvidence(
-            lambda outwards: self._pictures(enu_from_metric, outwards),
-            lambda east_north: self._in_plan(enu_from_metric, east_north),
-            lambda up: unusual_height(height + up),
-        )
-
-    def _in_plan(self, enu_from_metric: Similarity, east_north: Array) -> Array:
-        if self.plan is None:
-            return np.full(len(east_north), np.nan)
-        return self.plan.shifted(enu_from_metric @ self.metric_from_level, east_north)
-
-    def _agreement_of_pose(self, enu_from_metric: Similarity) -> float:
-        """In elevation and in plan together, less what is unusual, as `RefinedHypothesis.fit` counts them."""
-        in_plan = float("nan") if self.plan is None else self.plan.at(enu_from_metric @ self.metric_from_level)
-        agreement = agreement_in_both(self._agreement(enu_from_metric)[1], in_plan)
-        return float(agreement - unusual_height(self._height_above_ground(enu_from_metric)))
 
     def with_background(self, hypothesis: RefinedHypothesis) -> RefinedHypothesis:
         """The hypothesis with the scores of perturbed positions around it."""
         trials = perturbed(hypothesis.enu_from_level, self.options.perturbation)
-        return replace(hypothesis, perturbed_scores=tuple(self._agreement(trial)[1] for trial in trials))
+        return replace(hypothesis, perturbed_scores=tuple(self.agreement.on_walls(trial)[1] for trial in trials))
 
     def with_key_points(self, hypothesis: RefinedHypothesis) -> RefinedHypothesis:
         """The hypothesis with the key points of walls that agree there; as it is without a matcher of these."""
@@ -302,31 +265,7 @@ class ComponentSearch:
     def _scored(
         self, origin: WallHypothesis, found: Registration, enu_from_metric: Similarity, cells: int
     ) -> RefinedHypothesis:
-        ncc, score, walls_seen = self._agreement(enu_from_metric)
+        ncc, score, walls_seen = self.agreement.on_walls(enu_from_metric)
         check = check_visibility(self.rays, enu_from_metric, self.airborne.heights, self._airborne_walls)
-        visible, in_plan = (walls_seen, check.height_m, check.blocked), float("nan")
-        if self.plan is not None:
-            in_plan = self.plan.at(enu_from_metric @ self.metric_from_level)
+        visible, in_plan = (walls_seen, check.height_m, check.blocked), self.agreement.in_plan(enu_from_metric)
         return RefinedHypothesis(origin, found, enu_from_metric, score, ncc, *visible, cells, plan_score=in_plan)
-
-    def _agreement(self, enu_from_metric: Similarity) -> tuple[float, float, int]:
-        """Of all photos with all airborne walls that they should see: NCC, score, and the number of these walls."""
-        pictures = self._pictures(enu_from_metric)
-        return *agreement_of_channels([(ground, target.channels) for _, ground, target in pictures]), len(pictures)
-
-    def _pictures(self, enu_from_metric: Similarity, outwards: float = 0.0) -> WallPictures:
-        """Of all airborne walls that the photos should see, from the ground and from the air; as if the photos were so
-        many metres further out before each wall.
-        """
-        airborne, options = self.airborne, self.options
-        facades = self._set_back.setdefault(outwards, [set_back(facade, outwards) for facade in airborne.facades])
-        pairs = pair_facades(facades, airborne.heights, self.maps, enu_from_metric, options.facade_pairs)
-        sharp = options.search.sharp
-        return [(pair.facade, make_channels(pair.ground, sharp), self._of_airborne(pair)) for pair in pairs]
-
-    def _of_airborne(self, pair: FacadePair) -> Target:
-        """The airborne side of a pair, which hardly depends on the pose, with its channels and their spectra."""
-        key = (id(pair.airborne.rgb.base), *pair.offset_px.tolist(), *pair.airborne.mask.shape)
-        if key not in self._targets:
-            self._targets[key] = Target(make_channels(pair.airborne, self.options.search.blurred))
-        return self._targets[key]
