@@ -16,6 +16,7 @@ from skymoor.engines.colmap import colmap_from_component
 from skymoor.geometry import umeyama
 from skymoor.reconstruct import IntrinsicsOptions
 from skymoor.reconstruct.calibration import adjust, calibrate
+from skymoor.reconstruct.mapping import _adjusted
 from skymoor.reconstruct.shared_intrinsics import (
     _regrouped,
     group_intrinsics,
@@ -162,3 +163,18 @@ def test_photos_of_impossible_intrinsics_are_left_out(focal_px: float) -> None:
     left = without_impossible(model)
     assert {left.image(i).name for i in left.reg_image_ids()} == names - {lost.name}
     assert np.isfinite(calibrate(left).focal_sigma_ratio)
+
+
+def test_photos_whose_adjustment_diverges_end_nothing() -> None:
+    """Neither the search for shared intrinsics nor the last adjustment: the photo is left out, the others stay."""
+    cameras = walk(8)
+    model = by_itself(cameras)
+    lost = model.image(min(model.reg_image_ids()))
+    params = model.camera(lost.camera_id).params
+    params[0] *= -1
+    model.camera(lost.camera_id).params = params
+    others = {camera.image for camera in cameras} - {lost.name}
+    for left in (group_intrinsics(model, OPTIONS), _adjusted(pycolmap.Reconstruction(model), [])[0]):
+        found = focal_px(left)
+        assert others <= found.keys() and min(found.values()) > 0
+        assert 0 < centre_error_m(left, cameras) < 1

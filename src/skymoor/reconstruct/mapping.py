@@ -105,7 +105,12 @@ def reconstruct(
         if not options.mixed_lenses:
             models, database, lenses = _told_apart(models, database, folder, photos, options, seed)
         models = _improved(models, database, folder, photos, options, seed)
-    components = [_finish(model, names, photos, options, lenses) for model in models]
+    finished = [_adjusted(model, lenses) for model in models]
+    components = [
+        _finish(model, names, photos, options, fixed)
+        for model, fixed in finished
+        if model.num_reg_images() >= options.min_cameras
+    ]
     progress(4 * n, 4 * n)
     return components
 
@@ -235,16 +240,27 @@ def _mapping_options(options: ReconstructOptions, photos: int, seed: int) -> pyc
     return mapping
 
 
+def _adjusted(model: pycolmap.Reconstruction, lenses: Sequence[Lens]) -> tuple[pycolmap.Reconstruction, list[int]]:
+    """The model after its last adjustment, without photos that it diverges for, and the cameras whose focal lengths
+    are fixed.
+    """
+    fixed = tie_focal_lengths(model, lenses)
+    while True:
+        adjust(model, fixed=fixed)
+        possible = without_impossible(pycolmap.Reconstruction(model))
+        if possible.num_reg_images() in (0, model.num_reg_images()):
+            return possible, fixed
+        model = possible
+
+
 def _finish(
     model: pycolmap.Reconstruction,
     names: dict[str, str],
     photos: Photos,
     options: ReconstructOptions,
-    lenses: Sequence[Lens],
+    fixed: Sequence[int],
 ) -> Component:
-    """Last adjustment, calibration report and colours."""
-    fixed = tie_focal_lengths(model, lenses)
-    adjust(model, fixed=fixed)
+    """Calibration report and colours."""
     calibration = calibrate(model)
     if fixed:
         calibration = widened(calibration, HEIGHT_SPREAD)

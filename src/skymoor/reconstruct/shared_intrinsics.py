@@ -63,9 +63,10 @@ class IntrinsicsOptions:
 def group_intrinsics(model: pycolmap.Reconstruction, options: IntrinsicsOptions) -> pycolmap.Reconstruction:
     """A copy, adjusted, in which photos with shared intrinsics have one camera, and all others one each.
 
-    Ids and names of images and points are kept.
+    Photos of impossible intrinsics are left out. Ids and names of images and points are kept.
     """
     groups: list[list[int]] = []
+    model = without_impossible(pycolmap.Reconstruction(model))
     ids = sorted(model.reg_image_ids())
     own_px, observations = _errors_px(model)
     while True:
@@ -76,7 +77,10 @@ def group_intrinsics(model: pycolmap.Reconstruction, options: IntrinsicsOptions)
             adjust(trial, robust=True)
             shared_px, _ = _errors_px(trial)
             # The error of a photo with few observations is itself uncertain.
-            excess = {i: shared_px[i] / own_px[i] - 1 / np.sqrt(max(observations[i], 1)) for i in members}
+            excess = {
+                i: shared_px[i] / own_px[i] - 1 / np.sqrt(max(observations[i], 1)) if i in shared_px else np.inf
+                for i in members
+            }
             worst = max(excess.values())
             if worst <= options.worse_ratio:
                 break
@@ -90,7 +94,7 @@ def group_intrinsics(model: pycolmap.Reconstruction, options: IntrinsicsOptions)
     # Own intrinsics adapt to wrong observations; shared ones expose them as outliers.
     pycolmap.ObservationManager(shared).filter_all_points3D(MAX_ERROR_PX, MIN_ANGLE_DEG)
     adjust(shared)
-    return shared
+    return without_impossible(shared)
 
 
 def is_plausible(camera: pycolmap.Camera, options: IntrinsicsOptions) -> bool:
@@ -101,7 +105,7 @@ def is_plausible(camera: pycolmap.Camera, options: IntrinsicsOptions) -> bool:
 def without_impossible(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
     """The model without photos of impossible intrinsics, such as a negative focal length.
 
-    COLMAP's last adjustment may leave such photos after divergence; they cannot be used in computations.
+    An adjustment may leave such photos where it diverges; they cannot be used in computations.
     """
     before = model.num_reg_images()
     for camera_id, users in _users(model).items():
@@ -255,7 +259,11 @@ def _alike(a: pycolmap.Camera, b: pycolmap.Camera, options: IntrinsicsOptions) -
 
 
 def _errors_px(model: pycolmap.Reconstruction) -> tuple[dict[int, float], dict[int, int]]:
-    """Root mean square reprojection error, without the worst tenth, and number of observations, by image id."""
+    """Root mean square reprojection error, without the worst tenth, and number of observations, by image id.
+
+    Photos whose intrinsics have become impossible have neither.
+    """
+    model = without_impossible(pycolmap.Reconstruction(model))
     names = {model.image(i).name: str(i) for i in model.reg_image_ids()}
     component = component_from_colmap(model, names)
     errors, counts = {}, {}
