@@ -252,10 +252,19 @@ class TestDecide:
         )
         assert not decided.registered and "matches agree in 14 of 90 independent cells" in decided.reason
 
+    def test_a_low_score_is_enough_where_decoys_stay_far_below(self) -> None:
+        few, many = self.decoys(12.0, 13.0, 11.0, 12.0), self.decoys(24.0, 26.0, 22.0, 24.0)
+        found = decide(self.GOOD, [30.0, 10.0], 1000, agreement=self.MOST, decoys=few)
+        assert found.registered and "match_score" not in {one.kind for one in found.criteria}
+        assert not decide(self.GOOD, [30.0, 10.0], 1000, agreement=Agreement(30, 90), decoys=many).registered
+
     def test_thresholds_are_options(self) -> None:
         strict, mild = RegisterOptions(min_score=101.0), RegisterOptions(min_score=20.0, min_score_margin=1.1)
-        assert not decide(self.GOOD, SCORES, 1000, strict, agreement=self.MOST).registered
-        assert decide(self.GOOD, [30.0, 25.0], 9, mild, agreement=self.MOST).registered
+        decoys = self.decoys(12.0, 13.0, 11.0, 12.0)
+        for null in ((), decoys):
+            assert not decide(self.GOOD, SCORES, 1000, strict, agreement=self.MOST, decoys=null).registered
+        assert decide(self.GOOD, [30.0, 25.0], 9, mild, agreement=self.MOST, decoys=decoys).registered
+        assert not decide(self.GOOD, [30.0, 25.0], 9, agreement=self.MOST, decoys=decoys).registered
 
 
 class TestCameraAccuracy:

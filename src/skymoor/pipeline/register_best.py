@@ -96,7 +96,6 @@ def register_best(
             options,
             agreement=candidate.agreement,
             decoys=decoys,
-            full_score=place.full_score,
         )
         results.append((found, _on_grid(candidate.matches, place.reference.grid, grid)))
     return max(results, key=lambda result: (result[0].registered, result[0].diagnostics.get("cells", 0.0)))

@@ -40,14 +40,10 @@ class Extent:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A hypothesis, and the part of the reference whose pixels it is given in.
-
-    `full_score` is its score in this part, where that has more detail than was searched.
-    """
+    """A hypothesis, and the part of the reference whose pixels it is given in."""
 
     hypothesis: ImageHypothesis
     reference: Reference
-    full_score: float | None = None
 
 
 def search_reference(
@@ -105,7 +101,7 @@ def places_of(
             refined = refine_in(reference_raster(finer), image, [_moved(one, middle, whole, finer)], options)
             if refined:
                 best = replace(refined[0], score=one.score, by_features=one.by_features)
-                place = Place(best, finer, full_score=refined[0].score)
+                place = Place(best, finer)
         found.append(place)
     return found
 

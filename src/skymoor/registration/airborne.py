@@ -30,7 +30,8 @@ class RegisterOptions:
         min_inliers: fewer are a refusal.
         min_cells: independent cells of `correlation_m` that must hold inliers.
         max_tilt_deg: a registration that tilts the level model by more is a refusal.
-        min_score, min_score_margin: of the match score, and over that of a competing hypothesis; see `decide`.
+        min_score: least match score, beside what decoys say of it; see `decide`.
+        min_score_margin: least ratio of the match score to that of a competing hypothesis.
         max_false_alarm: largest probability that a decoy scores and agrees as much.
         max_chance_agreement: the same of the agreement in plan alone.
     """
@@ -41,7 +42,7 @@ class RegisterOptions:
     min_inliers: int = 50
     min_cells: int = 10
     max_tilt_deg: float = 10.0
-    min_score: float = 36.0
+    min_score: float = 0.0
     min_score_margin: float = 1.3
     max_false_alarm: float = 0.005
     max_chance_agreement: float = 0.05

@@ -17,6 +17,10 @@ from skymoor.registration.significance import (
 )
 from skymoor.types import Criterion, Registration
 
+WITHOUT_DECOYS = 36.0
+"""Least match score where no decoy says what chance reaches. Decoys of six models reached 10 to 72, right windows 32
+to 153: no fixed score tells them apart (docs/decisions/0034)."""
+
 
 def decide(
     registration: Registration,
@@ -26,7 +30,6 @@ def decide(
     *,
     agreement: Agreement | None = None,
     decoys: Sequence[NullSample] = (),
-    full_score: float | None = None,
 ) -> Registration:
     """The registration with all criteria that were checked, accepted or refused with the first that failed.
 
@@ -34,15 +37,11 @@ def decide(
 
     Args:
         registration: as estimated from the matches.
-        scores: of the distinct hypotheses after refinement, this one first. Right ones scored 86 to 244 on the real and
-            simulated sets that we measured; wrong ones at most 32 in a reference of another site, and 65 besides the
-            right one in a square kilometre.
+        scores: of the distinct hypotheses after refinement, this one first.
         n_matches_2d: matches before lifting.
         options: thresholds.
         agreement: independent cells in which the matches agree with the transform; None where there is none.
-        decoys: what decoys reached; without them `min_score` is the only limit on the score alone.
-        full_score: in all detail of the orthophoto, where the search had a coarser one: scores grow with the number of
-            pixels, and `min_score` is for this one.
+        decoys: what decoys reached; without them the score must be at least `WITHOUT_DECOYS`.
     """
     options = options or RegisterOptions()
     best, second = scores[0], max(scores[1:], default=0.0)
@@ -55,7 +54,8 @@ def decide(
         "cells": float(agreement.agreeing),
         "covered_cells": float(agreement.covered),
     }
-    criteria = [criterion("match_score", best if full_score is None else full_score, options.min_score)]
+    least = options.min_score if decoys else max(options.min_score, WITHOUT_DECOYS)
+    criteria = [criterion("match_score", best, least)] if least > 0 else []
     if decoys:
         of_cells = agreement_probability(agreement, [decoy.agreement for decoy in decoys])
         probability = combined_probability([false_alarm_probability(best, [decoy.score for decoy in decoys]), of_cells])
