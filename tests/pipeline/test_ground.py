@@ -164,6 +164,29 @@ def test_an_error_in_one_component_refuses_that_one(
     assert "Traceback" in caplog.text and "ground0-0: failed unexpectedly" in caplog.text
 
 
+def test_a_set_whose_reconstruction_fails_costs_no_other(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    stubbed: tuple[list[DepthMap], Similarity, TileWorld],
+) -> None:
+    maps, _, world = stubbed
+
+    def reconstruct(stage: str, *_: Any) -> list[Component]:
+        if stage.startswith("ground0"):
+            raise ValueError("no valid pose")
+        return [component_of(maps)]
+
+    monkeypatch.setattr(pipeline_ground, "reconstruct_set", reconstruct)
+    monkeypatch.setattr(pipeline_ground, "exhaustive", fails_on_many)
+    with Store.open(tmp_path) as store:
+        job = ground_job(store, Options(ground=GroundChoices(method="exhaustive")))
+        jobs = [job, replace(job, name="ground1")]
+        nothing, found = register_ground_sets(jobs, [airborne_of(world)], photos_of(world))
+    assert nothing == [] and len(found) == 1
+    assert "Traceback" in caplog.text and "ground0: reconstruction: failed unexpectedly" in caplog.text
+
+
 def fails_on_many(maps: Sequence[DepthMap], *_: Any, **__: Any) -> Registration:
     if len(maps) > 2:
         raise np.linalg.LinAlgError("Singular matrix")

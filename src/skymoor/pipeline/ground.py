@@ -29,6 +29,7 @@ from skymoor.model import render_obliques
 from skymoor.orient import estimate_ground_gravity, level_from_gravity
 from skymoor.pipeline.airborne import densify_component, ground_of, reconstruct_set
 from skymoor.pipeline.job import ComponentResult, Job, MapHypothesis, or_else, refused
+from skymoor.reconstruct import ReconstructOptions
 from skymoor.types import Component, Photos, Registration, Render
 
 T = TypeVar("T", GroundOptions, ConsensusOptions)
@@ -69,7 +70,7 @@ def _register(jobs: Sequence[Job], target: _Airborne | MapTarget | None) -> list
     levelled = []
     for number, job in enumerate(jobs):
         choices = job.options.ground.reconstruct.stage_options(job.options.engines, shared_camera=False)
-        components = reconstruct_set(f"{job.name}.reconstruct", job, choices)
+        components = _reconstruct_or_none(job, choices)
         levelled += [(number, _level_or_refuse(f"{job.name}-{k}", c, target, job)) for k, c in enumerate(components)]
     searched = [(item, _search_or_refuse(item, target, jobs[n])) for n, item in levelled if target and item.depths]
     decided = _decided(searched)
@@ -77,6 +78,12 @@ def _register(jobs: Sequence[Job], target: _Airborne | MapTarget | None) -> list
     levelled = [(n, replace(item, hypotheses=on_map.get(item.name, []))) for n, item in levelled]
     results = [(n, _check_or_refuse(item, decided.get(item.name), target, jobs[n])) for n, item in levelled]
     return [[item for n, item in results if n == number] for number in range(len(jobs))]
+
+
+def _reconstruct_or_none(job: Job, choices: ReconstructOptions) -> list[Component]:
+    """The components of a set; none where its reconstruction fails: the other sets have their own."""
+    stage = f"{job.name}.reconstruct"
+    return or_else(lambda: reconstruct_set(stage, job, choices), lambda _: [], f"{job.name}: reconstruction")
 
 
 def _decided(searched: Sequence[tuple[ComponentResult, Hypotheses]]) -> dict[str, Registration]:
