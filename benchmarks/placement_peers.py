@@ -35,7 +35,8 @@ from srif import limit_threads
 from skymoor.match.features import nearest
 from skymoor.match.propose import image_features
 from skymoor.match.rasters import nadir_raster, reference_raster
-from skymoor.match.search import ReferencePyramid, SearchOptions, search_in
+from skymoor.match.reference_pyramid import ReferencePyramid
+from skymoor.match.search import SearchOptions, search_in
 from skymoor.pipeline.feature_index import reference_features, write_index
 from skymoor.pipeline.reference_files import ReferenceFiles
 from skymoor.pipeline.search import Extent, places_of

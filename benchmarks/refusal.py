@@ -34,7 +34,8 @@ from skymoor.geometry import Similarity, umeyama
 from skymoor.match import DecoyOptions, SearchOptions
 from skymoor.match.decoys import make_decoys, mirrored
 from skymoor.match.rasters import nadir_raster, reference_raster
-from skymoor.match.search import ReferencePyramid, search_in
+from skymoor.match.reference_pyramid import ReferencePyramid
+from skymoor.match.search import search_in
 from skymoor.pipeline.options import Options
 from skymoor.pipeline.register_best import Prior, Steps, register_hypothesis
 from skymoor.pipeline.site import load_site

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from skymoor.match.channels import ChannelOptions, make_channels, rotate_angles
-from skymoor.match.search import rotate_channels
+from skymoor.match.channels import ChannelOptions, make_channels, rotate_angles, rotate_channels
 from skymoor.types import Image, Raster
 from support.pictures import noise_picture
 

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from skymoor.match.channels import ChannelOptions, Channels, make_channels
+from skymoor.match.channels import ChannelOptions, Channels, crop_channels, make_channels
 from skymoor.match.correlate import Target, correlate, parabola, peaks
-from skymoor.match.search import crop_channels
 from skymoor.types import Raster
 from support.pictures import noise_picture
 

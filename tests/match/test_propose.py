@@ -8,7 +8,8 @@ import pytest
 
 from skymoor.match.features import TILE_PX, features_of, nearest
 from skymoor.match.propose import propose
-from skymoor.match.search import DECISIVE, ReferencePyramid, SearchOptions, search_in
+from skymoor.match.reference_pyramid import ReferencePyramid
+from skymoor.match.search import DECISIVE, SearchOptions, search_in
 from skymoor.types import Raster, no_progress
 from support.textured import cut, textured
 

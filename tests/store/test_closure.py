@@ -50,7 +50,14 @@ STAGES: dict[str, Callable[..., object]] = {
     "cameras": check_ground_poses,
 }
 USES = {
-    "search": {"match.search", "match.channels", "match.correlate", "match.rasters", "types.rasters", "geometry.similarity"},
+    "search": {
+        "match.search",
+        "match.channels",
+        "match.correlate",
+        "match.rasters",
+        "types.rasters",
+        "geometry.similarity",
+    },
     "register": {"registration.refusal", "registration.covariance", "geometry.ransac", "match.align", "errors"},
     "reconstruct": {"reconstruct.mapping", "reconstruct.database", "engines.colmap", "types.photos"},
     "model by a radiance field": {"model.nerf.build", "model.nerf.hashgrid", "model.nerf.options"},

@@ -151,3 +151,28 @@ def _blur(values: Array32, sigma: float) -> Array32:
             values = cv2.blur(values, (width, width), borderType=cv2.BORDER_REFLECT)
         return np.asarray(values, dtype=np.float32)
     return np.asarray(cv2.GaussianBlur(values.astype(np.float32, copy=False), (0, 0), sigma), dtype=np.float32)
+
+
+def rotate_channels(channels: Channels, azimuth: float) -> Channels:
+    """Channels of the image rotated by `azimuth` (radians, u towards v), in a square that holds every rotation."""
+    h, w = channels.values.shape[1:]
+    side = int(np.ceil(np.hypot(h, w))) + 2
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    linear = np.array([[c, -s], [s, c]])
+    offset = side / 2 - linear @ [w / 2, h / 2]
+    # OpenCV's origin is the centre of the first pixel.
+    matrix = np.column_stack([linear, offset + linear @ [0.5, 0.5] - 0.5])
+    stack = np.concatenate([channels.values, channels.known])
+    rotated = np.stack([cv2.warpAffine(x, matrix, (side, side), flags=cv2.INTER_LINEAR) for x in stack])
+    return Channels(rotate_angles(rotated[:-2], azimuth), rotated[-2:])
+
+
+def crop_channels(channels: Channels, u0: int, v0: int, side: int) -> Channels:
+    """A square window whose first pixel is (u0, v0), zero beyond the image."""
+    h, w = channels.values.shape[1:]
+    us, ue, vs, ve = max(0, u0), min(w, u0 + side), max(0, v0), min(h, v0 + side)
+    windows = [np.zeros((len(stack), side, side), np.float32) for stack in (channels.values, channels.known)]
+    if us < ue and vs < ve:
+        for window, stack in zip(windows, (channels.values, channels.known), strict=True):
+            window[:, vs - v0 : ve - v0, us - u0 : ue - u0] = stack[:, vs:ve, us:ue]
+    return Channels(*windows)

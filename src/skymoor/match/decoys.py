@@ -20,7 +20,8 @@ from skymoor.engines.options import FIXED
 from skymoor.match.features import Features
 from skymoor.match.hypothesis import ImageHypothesis
 from skymoor.match.propose import ALL_AZIMUTHS
-from skymoor.match.search import ReferencePyramid, SearchOptions, search_in
+from skymoor.match.reference_pyramid import ReferencePyramid
+from skymoor.match.search import SearchOptions, search_in
 from skymoor.types import Progress, Raster, no_progress
 
 MIN_DECOYS = 2

@@ -10,26 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
-import cv2
 import numpy as np
 
 from skymoor.engines.options import FIXED
-from skymoor.match.channels import ChannelOptions, Channels, make_channels, rotate_angles
+from skymoor.match.channels import ChannelOptions, Channels, make_channels, rotate_channels
 from skymoor.match.correlate import Target, correlate, peaks
-from skymoor.match.features import Features, features_of
+from skymoor.match.features import Features
 from skymoor.match.hypothesis import ImageHypothesis, distinct
 from skymoor.match.propose import ALL_AZIMUTHS, Proposal, is_turned_within, propose
 from skymoor.match.pyramid import Pyramid
+from skymoor.match.reference_pyramid import LARGE_PX, Part, ReferencePyramid
 from skymoor.types import Progress, Raster, no_progress
 
 PROPOSALS = 8  # places of most features that are refined
 DECISIVE, DECISIVE_RATIO = 20, 2.0
 """Features that agree on a place, and how many times those of the next: of mirror images at most 14 agree, of right
 ones with a map of another season 27 to 300 (docs/benchmarks.md)."""
-LARGE_PX = 2_000_000  # of a reduced reference, of which only one size is kept, and only parts are refined in
-BORDER_PX = 40  # round such parts: what channels depend on, and how far a place moves
+BORDER_PX = 40  # round parts of a large reference: what channels depend on, and how far a place moves
 
 
 @dataclass(frozen=True)
@@ -141,44 +139,6 @@ def _decisive(proposals: list[Proposal]) -> bool:
     return proposals[0].inliers >= max(DECISIVE, DECISIVE_RATIO * second)
 
 
-class ReferencePyramid:
-    """A reference with its channels and spectra, computed once per size and channel options."""
-
-    def __init__(self, raster: Raster, features: Features | None = None) -> None:
-        self.raster = raster
-        self.pyramid = Pyramid(raster)
-        self._features = features
-        self._targets: dict[tuple[float, ChannelOptions], Target] = {}
-
-    @cached_property
-    def features(self) -> Features:
-        """Its local features."""
-        return features_of(self.raster) if self._features is None else self._features
-
-    def at(self, ratio: float, options: ChannelOptions) -> Target:
-        """The reference reduced by `ratio`, at most 1."""
-        if (ratio, options) not in self._targets:
-            # Of a large reference, the spectra of one size are hundreds of megabytes.
-            if ratio**2 * self.raster.mask.size > LARGE_PX:
-                self._targets.clear()
-            self._targets[ratio, options] = Target(make_channels(self.pyramid.at(ratio), options))
-        return self._targets[ratio, options]
-
-
-class _Part:
-    """Channels of the reference about a place, whose outer corner is at (left, top) of the reduced reference."""
-
-    def __init__(self, channels: Channels, left: float, top: float) -> None:
-        self._channels, self.left, self.top = channels, left, top
-        self._last: tuple[tuple[int, int, int], Target] | None = None
-
-    def window(self, u0: int, v0: int, side: int) -> Target:
-        """A square of it; the last one is kept with its spectra, for turns are tried one after another in it."""
-        if self._last is None or self._last[0] != (u0, v0, side):
-            self._last = (u0, v0, side), Target(crop_channels(self._channels, u0, v0, side))
-        return self._last[1]
-
-
 class _Search:
     """One search: the image and the reference at all sizes that it needs."""
 
@@ -268,21 +228,21 @@ class _Search:
     def _target(self, ratio: float) -> Target:
         return self._reference.at(ratio, self.options.channels)
 
-    def _around(self, place: ImageHypothesis, ratio: float) -> _Part:
+    def _around(self, place: ImageHypothesis, ratio: float) -> Part:
         """The reference about a place; of a small one all."""
         if ratio**2 * self._reference.raster.mask.size <= LARGE_PX:
-            return _Part(self._target(ratio).channels, 0.0, 0.0)
+            return Part(self._target(ratio).channels, 0.0, 0.0)
         side = int(1.2 * place.scale * ratio * float(np.hypot(*self._shape))) + 2 * BORDER_PX
         u0, v0 = (x * ratio - side / 2 for x in place.centre_px)
         part, u, v = self._reference.pyramid.window(ratio, u0, v0, side)
-        return _Part(make_channels(part, self.options.channels), u, v)
+        return Part(make_channels(part, self.options.channels), u, v)
 
     def _locate(
         self,
         trial: ImageHypothesis,
         channels: Channels,
         ratio: float,
-        part: _Part,
+        part: Part,
         radius: int = 8,
     ) -> ImageHypothesis:
         """The best position within `radius` pixels, and its score; `channels` are the image's at the trial's scale."""
@@ -296,28 +256,3 @@ class _Search:
             centre_px = ((left + u0 + u + side / 2) / ratio, (top + v0 + v + side / 2) / ratio)
             return replace(trial, centre_px=centre_px, score=score)
         return replace(trial, score=-np.inf)
-
-
-def rotate_channels(channels: Channels, azimuth: float) -> Channels:
-    """Channels of the image rotated by `azimuth` (radians, u towards v), in a square that holds every rotation."""
-    h, w = channels.values.shape[1:]
-    side = int(np.ceil(np.hypot(h, w))) + 2
-    c, s = np.cos(azimuth), np.sin(azimuth)
-    linear = np.array([[c, -s], [s, c]])
-    offset = side / 2 - linear @ [w / 2, h / 2]
-    # OpenCV's origin is the centre of the first pixel.
-    matrix = np.column_stack([linear, offset + linear @ [0.5, 0.5] - 0.5])
-    stack = np.concatenate([channels.values, channels.known])
-    rotated = np.stack([cv2.warpAffine(x, matrix, (side, side), flags=cv2.INTER_LINEAR) for x in stack])
-    return Channels(rotate_angles(rotated[:-2], azimuth), rotated[-2:])
-
-
-def crop_channels(channels: Channels, u0: int, v0: int, side: int) -> Channels:
-    """A square window whose first pixel is (u0, v0), zero beyond the image."""
-    h, w = channels.values.shape[1:]
-    us, ue, vs, ve = max(0, u0), min(w, u0 + side), max(0, v0), min(h, v0 + side)
-    windows = [np.zeros((len(stack), side, side), np.float32) for stack in (channels.values, channels.known)]
-    if us < ue and vs < ve:
-        for window, stack in zip(windows, (channels.values, channels.known), strict=True):
-            window[:, vs - v0 : ve - v0, us - u0 : ue - u0] = stack[:, vs:ve, us:ue]
-    return Channels(*windows)
