@@ -15,8 +15,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from skymoor.api import RasterMatch, level_component, match_rasters, register
+    from skymoor.api import register
     from skymoor.api_models import register_model, render_orthophoto
+    from skymoor.api_steps import RasterMatch, level_component, match_rasters
     from skymoor.errors import BackendUnavailable, InputError, SkymoorError
     from skymoor.match.rasters import nadir_raster, reference_raster
     from skymoor.model.views import render_nadir
@@ -33,14 +34,14 @@ __version__ = "0.1.0"
 _HOMES = {
     "BackendUnavailable": "errors",
     "InputError": "errors",
-    "RasterMatch": "api",
+    "RasterMatch": "api_steps",
     "Result": "results.read",
     "SkymoorError": "errors",
     "StoppedAfter": "pipeline.stopping",
     "fetch_reference": "sources.fetch",
-    "level_component": "api",
+    "level_component": "api_steps",
     "lift": "registration.lift",
-    "match_rasters": "api",
+    "match_rasters": "api_steps",
     "nadir_raster": "match.rasters",
     "plot_cameras": "results.report.plots",
     "plot_residuals": "results.report.plots",

@@ -3,13 +3,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import logging
-import os
 import re
-import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -19,13 +14,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
-import numpy as np
 from filelock import BaseFileLock
-from numpy.typing import NDArray
-from PIL import Image
 
 from skymoor.errors import InputError
-from skymoor.store._atomic import atomic_file, atomic_folder, disk_errors, remove_leftovers
+from skymoor.store._atomic import atomic_folder, disk_errors, remove_leftovers
 from skymoor.store._cache import KEY_LENGTH, STAGES, Corrupt, read_cache, write_parts, write_whole
 from skymoor.store._closure import defining_modules, fingerprint, name_of
 from skymoor.store._digest import digest, parts_of
@@ -34,7 +26,7 @@ from skymoor.store._kept import Kept
 from skymoor.store._lock import lock_folder
 from skymoor.store._marks import FRAMES, require_no_others_files
 from skymoor.store._memory import peak_mib, reset_peak
-from skymoor.store._plain import plain
+from skymoor.store._products import Products
 from skymoor.store.photos import (
     FoundFiles,
     PhotoFile,
@@ -66,11 +58,11 @@ class StageRecord:
     cached: bool
 
 
-class Store:
+class Store(Products):
     """One run directory, held by one process. Use `Store.open`; it is also a context manager."""
 
     def __init__(self, root: Path, lock: BaseFileLock, note: Callable[[str], None]) -> None:
-        self.root = root
+        super().__init__(root)
         self._lock = lock
         self._note = note
         self._records: dict[str, StageRecord] = {}
@@ -247,70 +239,9 @@ class Store:
         self.files.forget()
         return size
 
-    def path(self, *parts: str) -> Path:
-        """Where a product lies. Raises `ValueError` for a path outside of the run directory."""
-        path = self.root.joinpath(*parts)
-        if not Path(os.path.normpath(path)).is_relative_to(self.root):
-            raise ValueError(f"{path} is outside of {self.root}")
-        return path
-
     def scratch(self, stage: str) -> Path:
         """A file for the unfinished work of a stage; the stage removes it when it is done."""
         return self.root / STAGES / f"{stage}.unfinished"
-
-    def write_bytes(self, name: str, content: bytes) -> Path:
-        """Write a file whole; `name` is relative to the run directory and may hold folders."""
-        target = self.path(name)
-        with atomic_file(target) as file:
-            file.write(content)
-        return target
-
-    def write_text(self, name: str, text: str) -> Path:
-        """Write UTF-8 text."""
-        return self.write_bytes(name, text.encode())
-
-    def write_json(self, name: str, value: object) -> Path:
-        """Write JSON; dataclasses become objects, arrays lists, paths text, and numbers that are not finite null."""
-        return self.write_text(name, json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
-
-    def write_csv(self, name: str, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> Path:
-        """Write a table with a header; None becomes an empty cell and floats keep all their digits."""
-        buffer = io.StringIO(newline="")
-        writer = csv.DictWriter(buffer, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        return self.write_text(name, buffer.getvalue())
-
-    def write_png(self, name: str, rgb: NDArray[np.uint8]) -> Path:
-        """Write an image (h, w, 3) RGB, (h, w, 4) RGBA or (h, w) grey."""
-        buffer = io.BytesIO()
-        # A third of the time of the default level, for files that are a tenth larger.
-        Image.fromarray(np.ascontiguousarray(rgb, dtype=np.uint8)).save(buffer, format="png", compress_level=3)
-        return self.write_bytes(name, buffer.getvalue())
-
-    def write_npz(self, name: str, **arrays: NDArray[Any]) -> Path:
-        """Write named arrays, compressed."""
-        if any(array.dtype.hasobject for array in arrays.values()):
-            raise TypeError("arrays of objects are not written")
-        target = self.path(name)
-        with atomic_file(target) as file:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # newer numpy takes a flag by name
-        return target
-
-    def write_folder(self, name: str, fill: Callable[[Path], object]) -> Path:
-        """Let `fill` write a folder of files, which then replaces the one of that name as a whole."""
-        target = self.path(name)
-        atomic_folder(target, fill)
-        return target
-
-    def remove(self, name: str) -> None:
-        """Delete a product of an earlier run, file or folder, if there is one."""
-        target = self.path(name)
-        with disk_errors(target):
-            if target.is_dir() and not target.is_symlink():
-                shutil.rmtree(target)
-            else:
-                target.unlink(missing_ok=True)
 
     def _cached(self, name: str, key: str, file: Path) -> tuple[StageRecord, Any] | None:
         try:
