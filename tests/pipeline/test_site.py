@@ -230,6 +230,8 @@ def test_an_unknown_accuracy_is_a_statement(site: Path) -> None:
     with pytest.raises(InputError, match="accuracy and ce90/le90; keep one"):
         load_site(site)
     assert np.isnan(load_site(site, accuracy="unknown").reference.covariance).all()
+    with pytest.raises(InputError, match="--accuracy unknown says that nobody knows"):
+        load_site(site, accuracy="unknown", ce90=2.0)
     change(site, 'accuracy = "unknown"\nce90 = 3', 'accuracy = "good"')
     with pytest.raises(InputError, match='the only word for it is "unknown"'):
         load_site(site)

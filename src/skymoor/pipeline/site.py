@@ -105,6 +105,7 @@ def load_site(
     table, where, root = read_toml(path), str(path), path.resolve().parent
     problems = Problems(where)
     table = known_keys(table, ("name", "reference", "airborne", "ground", "prior", "control", "options"), "", problems)
+    _require_no_contradiction(accuracy, ce90, le90)
     overruled = _Overruled(vertical_datum, ce90, le90, accuracy)
     site = Site(
         name=problems.value(lambda: text_of(table.get("name", root.name), where, "name"), root.name),
@@ -150,6 +151,7 @@ def site_from_arguments(
     `ortho` is a file or an address, `dsm` too, or one height in metres, or None, which needs no `le90`. Raises
     `InputError` when a file or folder is not there, no images are given, or the accuracy is not stated.
     """
+    _require_no_contradiction(accuracy, ce90, le90)
     root = _root_of([*airborne, *ground])
     sources = addressed(Path(), ortho, dsm)
     if sources is not None:
@@ -265,6 +267,11 @@ def _covariance(reference: Mapping[str, object], where: str, dsm: Path | float |
         number_of(reference[key], where, f"reference.{key}") if key in reference else None for key in ("ce90", "le90")
     )
     return _from_ce90_le90(ce90, le90, where, dsm, vertical_datum)
+
+
+def _require_no_contradiction(accuracy: str | None, ce90: float | None, le90: float | None) -> None:
+    if accuracy is not None and (ce90, le90) != (None, None):
+        raise InputError(f"--accuracy {accuracy} says that nobody knows what --ce90 and --le90 say; leave one out")
 
 
 def _unknown(accuracy: object, name: str) -> Array:
