@@ -203,8 +203,7 @@ KINDS: dict[str, Kind] = {
         "places where matches of the photos agree must exceed what mirrored and misplaced components reach.",
         limit="at most ground.walls.acceptance.max_chance",
         remedy="Take more photos that overlap, show the ground before the walls and go round a corner, "
-        "and airborne photos at a slant that show walls; learned features join more photos "
-        "(ground.reconstruct.matcher = aliked).",
+        "and airborne photos at a slant that show walls.",
         spec=".2g",
         unit="%",
     ),
