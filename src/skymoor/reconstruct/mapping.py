@@ -23,6 +23,7 @@ from skymoor.reconstruct.doppelgangers import ConflictFilter
 from skymoor.reconstruct.graph import drop_pairs, view_graph
 from skymoor.reconstruct.lens_groups import copy_with_cameras, scale_groups
 from skymoor.reconstruct.lenses import HEIGHT_SPREAD, Lens, is_own, tie_focal_lengths
+from skymoor.reconstruct.parts import parts_of
 from skymoor.reconstruct.protocol import PairFilter, PairMatcher, colmap_name
 from skymoor.reconstruct.shared_intrinsics import (
     IntrinsicsOptions,
@@ -105,7 +106,8 @@ def reconstruct(
         if not options.mixed_lenses:
             models, database, lenses = _told_apart(models, database, folder, photos, options, seed)
         models = _improved(models, database, folder, photos, options, seed)
-    finished = [_adjusted(model, lenses) for model in models]
+    parts = [part for model in models for part in parts_of(model, options.min_cameras)]
+    finished = [_adjusted(part, lenses) for part in sorted(parts, key=lambda part: -part.num_reg_images())]
     components = [
         _finish(model, names, photos, options, fixed)
         for model, fixed in finished
@@ -247,7 +249,7 @@ def _adjusted(model: pycolmap.Reconstruction, lenses: Sequence[Lens]) -> tuple[p
     fixed = tie_focal_lengths(model, lenses)
     while True:
         adjust(model, fixed=fixed)
-        possible = without_impossible(pycolmap.Reconstruction(model))
+        possible = without_impossible(model)
         if possible.num_reg_images() in (0, model.num_reg_images()):
             return possible, fixed
         model = possible

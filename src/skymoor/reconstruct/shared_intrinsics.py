@@ -18,8 +18,8 @@ import pycolmap
 from numpy.typing import NDArray
 
 from skymoor.engines.colmap import component_from_colmap, intrinsics_of
-from skymoor.engines.temporary import temporary_folder
 from skymoor.reconstruct.calibration import adjust, focal_sigmas
+from skymoor.reconstruct.parts import without_photos
 from skymoor.types import Array, Mask
 
 MAX_ERROR_PX, MIN_ANGLE_DEG = 4.0, 1.5  # of an observation, and between the rays to a point: COLMAP's limits
@@ -66,7 +66,7 @@ def group_intrinsics(model: pycolmap.Reconstruction, options: IntrinsicsOptions)
     Photos of impossible intrinsics are left out. Ids and names of images and points are kept.
     """
     groups: list[list[int]] = []
-    model = without_impossible(pycolmap.Reconstruction(model))
+    model = without_impossible(model)
     ids = sorted(model.reg_image_ids())
     own_px, observations = _errors_px(model)
     while True:
@@ -107,17 +107,13 @@ def without_impossible(model: pycolmap.Reconstruction) -> pycolmap.Reconstructio
 
     An adjustment may leave such photos where it diverges; they cannot be used in computations.
     """
-    before = model.num_reg_images()
-    for camera_id, users in _users(model).items():
-        if model.camera(camera_id).has_bogus_params(*COLMAP_FOCAL_WIDTHS, np.inf):
-            for i in users:
-                model.deregister_frame(model.image(i).frame_id)
-    if model.num_reg_images() == before:
-        return model
-    # Images that are no longer registered would make the covariance of the adjustment fail; files leave them out.
-    with temporary_folder() as folder:
-        model.write(folder)
-        return pycolmap.Reconstruction(folder)
+    lost = [
+        i
+        for camera_id, users in _users(model).items()
+        if model.camera(camera_id).has_bogus_params(*COLMAP_FOCAL_WIDTHS, np.inf)
+        for i in users
+    ]
+    return without_photos(model, lost) if lost else model
 
 
 def without_doubtful(model: pycolmap.Reconstruction, options: IntrinsicsOptions) -> pycolmap.Reconstruction:
@@ -263,7 +259,7 @@ def _errors_px(model: pycolmap.Reconstruction) -> tuple[dict[int, float], dict[i
 
     Photos whose intrinsics have become impossible have neither.
     """
-    model = without_impossible(pycolmap.Reconstruction(model))
+    model = without_impossible(model)
     names = {model.image(i).name: str(i) for i in model.reg_image_ids()}
     component = component_from_colmap(model, names)
     errors, counts = {}, {}
