@@ -59,7 +59,7 @@ def test_pipes_and_devices_are_told(name: str, read: Callable[[Path], object], t
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such files")
 def test_a_batch_goes_on_after_a_pipe(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "summary.json")
-    found = outcome_of(SiteTask("a", tmp_path / "site.toml", tmp_path), 0, 1.0, "", "")
+    found = outcome_of(SiteTask("a", tmp_path / "site.toml", tmp_path), tmp_path, 0, 1.0, "", "")
     assert found.verdict == "FAILED" and "pipe or device" in found.message
 
 

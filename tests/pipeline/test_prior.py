@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from skymoor.errors import InputError
-from skymoor.geometry import Similarity
+from skymoor.geometry import Intrinsics, Similarity
 from skymoor.match.propose import ALL_AZIMUTHS, is_turned_within
 from skymoor.pipeline.prior import Heading, SearchPrior, prior_from_table
-from skymoor.types import Camera, Intrinsics
+from skymoor.types import Camera
 
 
 def camera(name: str, heading_deg: float, tilt_deg: float) -> Camera:

@@ -14,7 +14,6 @@ from skymoor.geometry import Similarity
 from skymoor.ground.plan_view import search_plan
 from skymoor.ground.surface import surface_of
 from skymoor.ground.wall_planes import Wall, find_walls
-from skymoor.ground.walls.agreement import PoseAgreement, plan_scores_of
 from skymoor.ground.walls.airborne import AirborneWalls, GroundOptions, transformed_depth_map
 from skymoor.ground.walls.consensus import RefinedHypothesis
 from skymoor.ground.walls.dense import photo_matches, wall_matches
@@ -23,6 +22,7 @@ from skymoor.ground.walls.facade_search import search_facades
 from skymoor.ground.walls.facades import Facade, facade_of, similarity_between
 from skymoor.ground.walls.key_points import agreeing_cells
 from skymoor.ground.walls.pool import WallHypothesis
+from skymoor.ground.walls.pose_agreement import PoseAgreement, plan_scores_of
 from skymoor.ground.walls.refine import RefineOptions, perturbed, refine_pose, turned
 from skymoor.ground.walls.shifts import best_shift
 from skymoor.ground.walls.visibility import ViewRays, check_visibility, view_rays_of
