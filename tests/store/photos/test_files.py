@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import os
+import threading
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from PIL import Image
 
 from skymoor.errors import InputError
 from skymoor.store import Store, find_photos, open_photos
+from skymoor.store.photos.decode import _QUIET_PILLOW
 
 
 def photo(path: Path, seed: int = 0) -> Path:
@@ -163,3 +166,25 @@ def test_a_sub_folder_that_may_not_be_read(air: Path, tmp_path: Path) -> None:
             find_photos([air], tmp_path)
     finally:
         (air / "100MEDIA").chmod(0o755)
+
+
+def test_threads_that_read_photos_keep_pillow_quiet_for_each_other() -> None:
+    """The one that leaves first takes the filter of warnings away from nobody, and the last one leaves none behind."""
+    before = list(warnings.filters)
+    first, second = threading.Event(), threading.Event()
+
+    def stays() -> None:
+        with _QUIET_PILLOW:
+            first.set()
+            second.wait(10)
+
+    thread = threading.Thread(target=stays)
+    with _QUIET_PILLOW:
+        thread.start()
+        assert first.wait(10)
+    try:
+        warnings.warn_explicit("large", Image.DecompressionBombWarning, "x.py", 1, module="PIL.Image")
+    finally:
+        second.set()
+        thread.join(10)
+    assert list(warnings.filters) == before

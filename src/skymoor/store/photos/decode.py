@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +70,7 @@ def require_size(width: int, height: int, file: Path) -> None:
 def _opened(file: Path) -> Iterator[Image.Image]:
     """A photo, decoded to its end. Pillow, unlike OpenCV, reports a file that ends too early."""
     try:
-        with _quiet_pillow(), open_image(file) as image:
+        with _QUIET_PILLOW, open_image(file) as image:
             _require_photo(image, file)
             stated = image.size
             image.load()
@@ -119,15 +120,32 @@ def _require_photo(image: Image.Image, file: Path) -> None:
     require_size(*image.size, file)
 
 
-@contextmanager
-def _quiet_pillow() -> Iterator[None]:
+class _QuietPillow:
     """No warnings of Pillow: 100 megapixels are ordinary here (it still refuses twice its limit), EXIF is not used.
 
-    Python's filters are shared by all threads, so another thread may be silenced too; hence only Pillow is named.
+    Python's filters are shared by all threads: the first one in sets them, and the last one out restores what was
+    before, or one would take them away from under another. Who is silenced too is named: Pillow alone.
     """
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", module=r"(PIL|pillow_heif)\.")
-        yield
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._filters = Lock(), 0, warnings.catch_warnings()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self._inside += 1
+            if self._inside == 1:
+                self._filters = warnings.catch_warnings()
+                self._filters.__enter__()
+                warnings.filterwarnings("ignore", module=r"(PIL|pillow_heif)\.")
+
+    def __exit__(self, *error: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                self._filters.__exit__(None, None, None)
+
+
+_QUIET_PILLOW = _QuietPillow()
 
 
 def _rgb(image: Image.Image) -> NDArray[np.uint8]:
@@ -139,7 +157,7 @@ def _rgb(image: Image.Image) -> NDArray[np.uint8]:
 
 def _carries_metadata(file: Path) -> bool:
     try:
-        with _quiet_pillow(), open_image(file) as image:
+        with _QUIET_PILLOW, open_image(file) as image:
             exif = image.getexif()
             position = exif.get_ifd(ExifTags.IFD.GPSInfo)
             focal = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLength)
