@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skymoor.reconstruct.graph import common_points
 from skymoor.reconstruct.protocol import PairFilter, ViewGraph
 from skymoor.types import Array, Component, Mask
 
@@ -111,7 +112,7 @@ def _joined(
     component: Component, expected: Array, shared: Array, min_expected: int, min_ratio: float
 ) -> tuple[list[NDArray[np.intp]], Array, Array]:
     """Groups of cameras joined from the strongest pair down, and the two counts (k, k) between the groups."""
-    strength = _common_tracks(component)
+    strength = common_points(component)
     expected, shared = expected.copy(), shared.copy()
     group_of = np.arange(len(expected))
     rows, columns = np.nonzero(np.triu(strength, 1))
@@ -127,10 +128,3 @@ def _joined(
     names = np.unique(group_of)
     between = np.ix_(names, names)
     return [np.flatnonzero(group_of == name) for name in names], expected[between], shared[between]
-
-
-def _common_tracks(component: Component) -> Array:
-    """Number (n, n) of points that two cameras both observe, regardless of their poses."""
-    observes = np.zeros((len(component.cameras), len(component.points)), np.float32)
-    observes[component.obs_camera, component.obs_point] = 1
-    return np.asarray(observes @ observes.T, dtype=np.float64)

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The verified matches of a COLMAP database as a view graph, and removal of filtered pairs."""
+"""Which photos have what in common: the verified matches of a COLMAP database, without filtered pairs, and points."""
 
 from __future__ import annotations
 
 import numpy as np
 import pycolmap
+from scipy.sparse import csr_array
 
 from skymoor.reconstruct.protocol import PairFilter, ViewGraph, colmap_name
-from skymoor.types import Component, Photos
+from skymoor.types import Array, Component, Photos
 
 
 def view_graph(database: pycolmap.Database, photos: Photos, components: tuple[Component, ...]) -> ViewGraph:
@@ -41,3 +42,11 @@ def _photo_of(database: pycolmap.Database, photos: Photos) -> dict[int, int]:
     """Photo number by image id."""
     number = {colmap_name(k, size): k for k, size in enumerate(photos.sizes)}
     return {image.image_id: number[image.name] for image in database.read_all_images()}
+
+
+def common_points(component: Component) -> Array:
+    """Number (n, n) of points that two cameras both observe, regardless of their poses."""
+    shape = (len(component.cameras), max(len(component.points), 1))
+    observes = csr_array((np.ones(len(component.obs_camera)), (component.obs_camera, component.obs_point)), shape=shape)
+    observes.data[:] = 1.0  # a point counts once in a photo
+    return np.asarray((observes @ observes.T).toarray(), dtype=np.float64)
